@@ -14,7 +14,8 @@ from .errors import MapError
 from .estimation.map_view import final_result
 from .estimation.refinement import refine
 from .estimation.wall_bends import settle_wall_bends
-from .events import Finished, Sink
+from .events import Finished, Notice, Sink
+from .geometry.segments import Floats
 from .io.sessions import StoredSession
 from .localisation.tracking import PoseFix
 from .mapping.convergence import converge
@@ -62,6 +63,9 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     summary = refined.summary | _changes(before, refined.mapper)
     publisher.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
     publisher.publish_map(last.stamp, refined.mapper)
+    moved = _shifts(before, refined.mapper)
+    text = f"refined: keyframes moved by {np.median(moved):.3f} m (median), {moved.max():.3f} m at most"
+    publisher.publish(Notice(last.stamp, text, "INFO"))
     result = summarise_session(session, {"refinement": summary}, publisher)
     return OptimisedSession(result, session, summary)
 
@@ -82,7 +86,7 @@ def summarise_session(session: StoredSession, summary: dict[str, Any], publisher
 
 def _changes(before: Mapper, after: Mapper) -> dict[str, Any]:
     """Compare the maps before and after, for the summary."""
-    moved = np.hypot(*(after.keyframe_poses - before.keyframe_poses)[:, :2].T)
+    moved = _shifts(before, after)
     farthest = np.argsort(-moved, kind="stable")[:LISTED_SHIFTS]
     return {
         "factors_before": before.graph.factor_count,
@@ -90,3 +94,8 @@ def _changes(before: Mapper, after: Mapper) -> dict[str, Any]:
         "median_shift": round(float(np.median(moved)), 4),
         "largest_shifts": [{"keyframe": int(k), "metres": round(float(moved[k]), 4)} for k in farthest],
     }
+
+
+def _shifts(before: Mapper, after: Mapper) -> Floats:
+    """Return the metres (k,) by which the keyframes have moved."""
+    return np.asarray(np.hypot(*(after.keyframe_poses - before.keyframe_poses)[:, :2].T))

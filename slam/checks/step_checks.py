@@ -25,6 +25,9 @@ MIN_DISPLACEMENT = 0.2
 # Metres (RMS) by which odometry must misplace the points of a scan in the end. Origin: tuned on CSAIL and fr079: so
 # late readings and slips of half a metre, of which they have many, are not reported.
 MIN_SLIP = 1.0
+# Metres of a motion from which on it has a direction, and radians from which on two directions are stated to differ.
+# Origin: chosen for the text; not measured.
+MIN_DIRECTED, MIN_DEVIATION = 0.1, math.radians(45.0)
 
 
 def misplaced_scans(drive: Drive, steps: Steps) -> Iterator[Suspect]:
@@ -94,7 +97,8 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
             worst = int(group[np.argmax(steps.slip[group])])
             text = (
                 f"odometry contradicts the scans by {_motion(wrong)}: it measured a motion of {_motion(measured)}, the "
-                f"scans show {_motion(driven)}; the wheels slipped or stood still, or the robot was carried"
+                f"scans show {_motion(driven)}{_direction(measured, driven)}; the wheels slipped or stood still, or "
+                "the robot was carried"
             )
             yield _suspect(drive, ODOMETRY, group, worst, evidence / steps.threshold, text)
 
@@ -109,3 +113,11 @@ def _suspect(drive: Drive, check: str, steps: Integers, worst: int, weight: floa
 def _motion(motion: se2.Pose) -> str:
     """Return length and turn of a motion as text."""
     return f"{math.hypot(motion[0], motion[1]):.2f} m and {abs(math.degrees(motion[2])):.0f} degrees"
+
+
+def _direction(motion: se2.Pose, other: se2.Pose) -> str:
+    """Return a remark on two motions, metres and radians, if their directions differ; else an empty text."""
+    angle = abs(se2.wrap(math.atan2(other[1], other[0]) - math.atan2(motion[1], motion[0])))
+    if min(math.hypot(motion[0], motion[1]), math.hypot(other[0], other[1])) < MIN_DIRECTED or angle < MIN_DEVIATION:
+        return ""
+    return f", in a direction that differs by {math.degrees(angle):.0f} degrees"

@@ -52,6 +52,7 @@ class _Commands(TyperGroup):
             text = error.format_message()
             if error.ctx is None or not text:  # a group of commands without arguments, which has printed its help
                 raise
+            text = text.replace("Value error, ", "")  # a prefix of pydantic, which says nothing
             print_message(f"{text.rstrip('.')}; see {error.ctx.command_path} --help")
             raise typer.Exit(EXIT_USER_ERROR) from error
         except SlamError as error:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..events import Finished
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..geometry.wall_intersection import MIN_SINE, intersect_walls
 from ..graph.graph_estimate import Marginals
 from ..mapping.drift_covariance import DriftCovariance
@@ -78,7 +81,8 @@ def _corners(
     """Return the corners.
 
     A corner lies on both of its walls, and they carry most of its information. If both are in the map, the corner is
-    their intersection, with the covariance that follows from theirs; else it is the corner's own estimate.
+    their intersection, with the covariance that follows from theirs; else it is the corner's own estimate. Corners at
+    the intersection of the same two walls are one, with the identity of the oldest: their walls were merged.
     """
     rows, walls = landmarks.corners.rows, landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
@@ -106,13 +110,33 @@ def _corners(
         covariance[intersecting] = moved @ joint @ moved.transpose(0, 2, 1)
         # the keyframe that first saw a corner is not stored, the last one is
         covariance += drift.of(rows["last_seen"][chosen])
+    kept, observations = _without_duplicates(wall_ids, intersecting, rows["observations"][chosen])
     return MapCorners(
-        identity=chosen,
-        position=position,
-        covariance=covariance,
-        walls=wall_ids,
-        observations=rows["observations"][chosen],
+        identity=chosen[kept],
+        position=position[kept],
+        covariance=covariance[kept],
+        walls=wall_ids[kept],
+        observations=observations[kept],
     )
+
+
+def _without_duplicates(
+    walls: Integers, intersecting: Sequence[int], observations: Integers
+) -> tuple[NDArray[np.bool_], Integers]:
+    """Return (m,) which corners are the oldest of those at their intersection, and the observations (m,) of all these.
+
+    walls         (m, 2) of each corner
+    intersecting  rows of the corners at an intersection
+    """
+    kept, summed = np.ones(len(walls), dtype=bool), observations.copy()
+    oldest: dict[tuple[int, int], int] = {}
+    for row in intersecting:
+        first, second = walls[row].tolist()
+        same = oldest.setdefault((first, second), row)
+        if same != row:
+            kept[row] = False
+            summed[same] += observations[row]
+    return kept, summed
 
 
 def covariances_when_last_seen(mapper: Mapper, walls: MapWalls, corners: MapCorners) -> tuple[Floats, Floats]:

@@ -59,6 +59,15 @@ class MapParts:
         one, two = sorted((self.group(keyframe), self.group(other)))
         self.groups = [one if group == two else group for group in self.groups]
 
+    def separate(self, part: int) -> None:
+        """Separate the parts from a number on from earlier ones; they stay joined among themselves."""
+        first = {self.groups[k]: k for k in reversed(range(part, len(self)))}
+        self.groups[part:] = [group if group >= part else first[group] for group in self.groups[part:]]
+
+    def part(self, keyframe: int) -> int:
+        """Return the number of the part of a keyframe."""
+        return int(np.searchsorted(np.array(self.firsts), keyframe, side="right")) - 1
+
     def group(self, keyframe: int) -> int:
         """Return the number of the group of a keyframe."""
         return int(self.groups_of(np.array([keyframe]))[0])

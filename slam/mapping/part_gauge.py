@@ -95,7 +95,7 @@ class PartGauge:
         first = mapper.landmarks.parts.current_first
         if self.motion is not None or not 0 < first < mapper.keyframe_count:
             return
-        self.motion = next(f for f in mapper.graph.solver.factors.values() if _leads_to(f, first))
+        self.motion = motion_to_part(mapper, first)
         pose, covariance = mapper.graph.keyframe_pose(first), np.diag(FIRST_POSE_SIGMAS**2)
         prior = Factor(FactorKind.POSE_PRIOR, first, first, pose, covariance)
         _rebuild(mapper, first, np.zeros(3), lambda f: _leads_to(f, first), [prior])
@@ -104,6 +104,19 @@ class PartGauge:
 def move_group(mapper: Mapper, keyframe: int, motion: se2.Pose) -> None:
     """Move the group of a keyframe by a `motion` [x, y, heading] in the map; only odometry connects it with others."""
     _rebuild(mapper, keyframe, motion, lambda _: False, [])
+
+
+def motion_to_part(mapper: Mapper, first: int) -> Factor:
+    """Return odometry's motion to the first keyframe of a part of a stored map."""
+    return next(f for f in mapper.graph.solver.factors.values() if _leads_to(f, first))
+
+
+def return_to_odometry(mapper: Mapper, motion: Factor) -> None:
+    """Move a group of parts to where odometry's `motion` to its first keyframe leads, which takes its place again."""
+    start, now = mapper.keyframe_poses[motion.first], mapper.keyframe_poses[motion.second]
+    by_odometry = se2.compose(start, motion.measured)
+    shift = se2.compose(by_odometry, se2.inverse(now))
+    _rebuild(mapper, motion.second, shift, lambda f: _leads_to(f, motion.second), [motion])
 
 
 def _holds(factor: Factor, keyframe: int) -> bool:

@@ -33,7 +33,8 @@ Seen = Mapping[int, frozenset[int]]
 class Pass:
     """Consecutive keyframes that drive through places of earlier ones.
 
-    gap  metres of driving without an observation after which a landmark is seen again, not still
+    gap  metres of driving without an observation after which a landmark is seen again, not still; zero if nothing that
+         earlier keyframes have seen is known to be in it
     """
 
     keyframes: range
@@ -68,7 +69,8 @@ def separate_pass(
     equalities = [factor for factor in factors if factor.kind is FactorKind.WALL_EQUALITY]
     kept, copied = division.equalities(equalities, set(ties), set(merged))
     pairs = {(factor.first, factor.second) for factor in kept}
-    before = int(np.searchsorted(mapper.travelled, mapper.travelled[one.keyframes.start] - one.gap)) - 1
+    start = one.keyframes.start
+    before = min(int(np.searchsorted(mapper.travelled, mapper.travelled[start] - one.gap, side="right")), start) - 1
 
     def is_removed(factor: Factor) -> bool:
         if factor.kind is FactorKind.WALL_EQUALITY:
@@ -173,7 +175,7 @@ def _seen_again(seen: frozenset[int], one: Pass, travelled: NDArray[np.float64])
     keyframes = np.sort(list(seen))
     if keyframes[0] >= one.keyframes.start:
         return frozenset()
-    again = np.concatenate([[False], np.cumsum(np.diff(travelled[keyframes]) > one.gap) > 0])
+    again = np.concatenate([[False], np.cumsum(np.diff(travelled[keyframes]) >= one.gap) > 0])
     return frozenset(keyframes[again].tolist()) & frozenset(one.keyframes)
 
 

@@ -56,9 +56,11 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
     from ..slam_run import review_log, write_report_page
 
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
+        from ...events import Notice
         from ...io.sessions import read_session, write_session
         from ...offline.map_merging import merge_sessions
         from ...optimisation import optimise
+        from ...publisher import Publisher
         from ...warmup import warm_up
 
         started = time.perf_counter()
@@ -69,6 +71,9 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
         config, name = joined.session.config, " + ".join(some.name for some in joined.session.recordings)
         sinks: list[Sink] = [log.enter_context(review_log(directory, config, name, complete=True))] if review else []
         optimised = optimise(joined.session, sinks)
+        for path, location in joined.added:
+            text = f"joined with {path}: {location.reason}"
+            Publisher(sinks).publish(Notice(joined.session.scans[-1].stamp, text, "INFO"))
         log.close()
         finished = optimised.finished
         if picture:

@@ -27,6 +27,10 @@ MARGIN = 0.04
 """Width of the margin, as a share of the drawing's larger extent."""
 SIGMAS = 3.0
 """Standard deviations of the ellipses' half axes."""
+MAX_ELLIPSE = 0.75
+"""Metres, largest half axis of a corner's ellipse that is drawn. Larger ones are due to drift that the corners around
+share, or belong to an unconnected part of the map, and would cover the walls between them.
+"""
 SVG_BAND_WIDTH = 0.005
 """Width of the band on the side that a wall is seen from, as a share of the drawing's larger extent."""
 MARKER_SIZE = 0.008
@@ -151,7 +155,7 @@ def _bands(lines: MapWalls, width: float) -> Iterator[str]:
 
 
 def _corners(corners: MapCorners) -> Iterator[str]:
-    """Yield a dot for each corner, and an ellipse of SIGMAS standard deviations if its covariance is known."""
+    """Yield a dot for each corner, and an ellipse of SIGMAS standard deviations, if known and up to MAX_ELLIPSE."""
     for k in range(len(corners)):
         x, y = corners.position[k]
         text = f"corner {corners.identity[k]}: observed in {corners.observations[k]} keyframes"
@@ -159,11 +163,12 @@ def _corners(corners: MapCorners) -> Iterator[str]:
             variances, directions = np.linalg.eigh(corners.covariance[k])
             sigma = np.sqrt(variances.clip(min=0.0))
             text += f", standard deviation {1e3 * sigma[1]:.1f} mm"
-            turn = -np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))
-            yield (
-                f'<ellipse rx="{SIGMAS * sigma[1]:.4f}" ry="{SIGMAS * sigma[0]:.4f}" '
-                f'transform="translate({_xy([x, y])})rotate({turn:.1f})"/>'
-            )
+            if SIGMAS * sigma[1] <= MAX_ELLIPSE:
+                turn = -np.degrees(np.arctan2(directions[1, 1], directions[0, 1]))
+                yield (
+                    f'<ellipse rx="{SIGMAS * sigma[1]:.4f}" ry="{SIGMAS * sigma[0]:.4f}" '
+                    f'transform="translate({_xy([x, y])})rotate({turn:.1f})"/>'
+                )
         yield f'<path class="dot" d="M{_xy([x, y])}h0"><title>{escape(text)}</title></path>'
 
 

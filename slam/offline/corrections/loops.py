@@ -19,9 +19,11 @@ from ...loop_closure.decision import LoopDecision
 from ...loop_closure.look import SUBMAP_LENGTH, Look
 from ...loop_closure.loop_status import LoopStatus
 from ...loop_closure.submap_search import SubmapMatch
+from ...mapping.part_gauge import motion_to_part, return_to_odometry
 from ...mapping.pass_separation import Pass, separate_pass
 from ...run_statistics import loop_row
 from .detours import direct_motions, is_detour, without_detours
+from .joins import Separation, separation_of
 from .place_match import match_places
 
 MAX_TIME_DIFFERENCE = 5.0
@@ -97,34 +99,72 @@ class LoopCorrector:
 
         ties  walls (kept, absorbed) that a person has tied, which stay one
 
-        Raises MapError if it is not closed, or joins parts of the map.
+        Raises MapError if it is not closed, or if another one has to be forbidden before.
         """
         mapper, row = self._state.mapper, self._row(correction.loop)
         if row["status"] != LoopStatus.ACCEPTED:
             raise MapError(f"loop {correction.loop} cannot be forbidden: it is {row['status']}")
         keyframe, old = int(row["keyframe"]), int(row["old"])
-        if len(set(np.searchsorted(mapper.landmarks.parts.firsts, [keyframe, old], side="right").tolist())) > 1:
-            raise MapError(f"loop {correction.loop} cannot be forbidden: it joins parts of the map")
-        factors = self._loop_factors(after=self._closed_before(keyframe), until=keyframe)
-        if not factors:
-            raise MapError(f"loop {correction.loop} cannot be forbidden: the graph has no factor of it")
-        travelled = np.asarray(mapper.travelled)
-        first = min(factor.second for factor in factors)
-        one = self._pass(int(np.searchsorted(travelled, travelled[first] - SUBMAP_LENGTH)), keyframe)
-        before, present = mapper.keyframe_poses[keyframe], mapper.graph.solver.sorted_factors()
+        before = mapper.keyframe_poses[keyframe]
+        parted = separation_of(mapper.landmarks.parts, self._session.loop_decisions, correction.loop)
+        if parted is not None:
+            self._separate_parts(parted, ties)
+            for number in sorted(parted.resting):
+                reason = f"rested on loop {correction.loop}, which is forbidden by hand"
+                self._store({**self._row(number), "status": LoopStatus.FORBIDDEN, "reason": reason})
+        else:
+            factors = self._loop_factors(after=self._closed_before(keyframe), until=keyframe)
+            if not factors:
+                raise MapError(f"loop {correction.loop} cannot be forbidden: the graph has no factor of it")
+            travelled = np.asarray(mapper.travelled)
+            first = min(factor.second for factor in factors)
+            one = self._pass(int(np.searchsorted(travelled, travelled[first] - SUBMAP_LENGTH)), keyframe)
+            merged = _merged_after(mapper.graph.solver.sorted_factors(), keyframe)
+            self._separate(one, ties, factors, merged)
+        self._store({**row, "status": LoopStatus.FORBIDDEN, "reason": "forbidden by hand"})
+        shift = _distance(mapper.keyframe_poses[keyframe], before)
+        return {"keyframe": keyframe, "old": old, "shift": shift, "separated": parted is not None}
+
+    def _separate_parts(self, parted: Separation, ties: Collection[tuple[int, int]]) -> None:
+        """Separate parts from those before them, and move them to where odometry leads."""
+        mapper, parts = self._state.mapper, self._state.mapper.landmarks.parts
+        first, end = ([*parts.firsts, mapper.keyframe_count][k] for k in (parted.part, parted.end))
+        motion = motion_to_part(mapper, first)
+        # While the sides are separated, the later one is held where it is.
+        here = se2.between(mapper.keyframe_poses[motion.first], mapper.keyframe_poses[first])
+        across = [f for f in self._loop_factors(after=first - 1, until=end - 1) if f.first < first]
+        held = Factor(motion.kind, motion.first, first, here, motion.covariance)
+        self._separate(Pass(range(first, end), 0.0), ties, [*across, motion], (), [held])
+        parts.separate(parted.part)
+        return_to_odometry(mapper, motion)
+        self._state.joins.clear()
+
+    def _separate(
+        self,
+        one: Pass,
+        ties: Collection[tuple[int, int]],
+        removed: Sequence[Factor],
+        merged: Sequence[tuple[int, int]],
+        added: Sequence[Factor] = (),
+    ) -> None:
+        """Separate a pass from earlier ones, with factors removed and added; see `separate_pass`."""
+        mapper, firsts = self._state.mapper, self._state.mapper.landmarks.parts.firsts
+        # Odometry's motion to a part is all that is known of its place: it stays.
+        motions = [f for f in mapper.graph.solver.sorted_factors() if f.second not in firsts]
+        detours = [factor for factor in motions if is_detour(factor, one.keyframes)]
+        direct = direct_motions(detours, self.history, self._state.odometry_model, one.keyframes)
+        gone = {*removed, *detours}
         separate_pass(
             mapper,
             one,
             self._segments,
             ties=ties,
-            merged=_merged_after(present, keyframe),
-            remove=lambda factor: factor in factors or is_detour(factor, one.keyframes),
-            add=direct_motions(present, self.history, self._state.odometry_model, one.keyframes),
+            merged=merged,
+            remove=lambda factor: factor in gone,
+            add=[*direct, *added],
         )
         self.history = without_detours(self.history, one.keyframes)
         self._state.local_field.unlink(one.keyframes)
-        self._store({**row, "status": LoopStatus.FORBIDDEN, "reason": "forbidden by hand"})
-        return {"keyframe": keyframe, "old": old, "shift": _distance(mapper.keyframe_poses[keyframe], before)}
 
     def _stated(self, correction: ProposedClosing | PlaceClosing) -> tuple[int, int, int, se2.Pose | None]:
         """Return number, old keyframe and keyframe of a closure, and the robot's motion if it was proposed."""

@@ -45,7 +45,9 @@ def diff_text(diff: MapDiff, corners: Sequence[CornerChange]) -> str:
         walls = [str(_named(change)) for change in diff.changes if change.kind is kind]
         if walls:
             lines.append(f"{kind}, which proves nothing: walls {', '.join(walls)}")
-    same = f"{diff.same} walls are the same; {diff.tests} tests"
+    same = f"{diff.same} walls are the same ({diff.tests} statistical tests)"
+    if not lines:
+        same = f"no wall has moved, is gone or is new; {same}"
     return "\n".join([*lines, same if math.isclose(diff.scale, 1.0) else f"{same}, variances times {diff.scale:.2f}"])
 
 

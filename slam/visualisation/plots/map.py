@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...io.exports.svg_drawing import MAX_ELLIPSE
 from ...mapping.map_features import MapCorners, MapWalls
 from .style import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, Floats, ellipses, legend, metric_figure, save
 
@@ -75,5 +76,5 @@ def _walls(axes: Axes, lines: MapWalls) -> None:
 def _corners(axes: Axes, corners: MapCorners) -> None:
     if len(corners) == 0:
         return
-    name = ellipses(axes, corners.position, corners.covariance, PURPLE, enlarged=False)
+    name = ellipses(axes, corners.position, corners.covariance, PURPLE, enlarged=False, largest=MAX_ELLIPSE)
     axes.plot(*corners.position.T, ".", color=PURPLE, markersize=3.5, label=f"corner, {name}", zorder=7)

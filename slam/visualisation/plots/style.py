@@ -129,11 +129,14 @@ def legend(axes: Axes) -> None:
     )
 
 
-def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str, *, enlarged: bool) -> str:
+def ellipses(
+    axes: Axes, centres: Floats, covariances: Floats, colour: str, *, enlarged: bool, largest: float = np.inf
+) -> str:
     """Draw 3-sigma ellipses at `centres` (n, 2) and return their name for the legend.
 
     If `enlarged`, all are enlarged by one round factor if they would be invisible, which the name states. In a map the
-    uncertain ones would cover rooms then. Covariances (n, 2, 2) that are not finite are skipped.
+    uncertain ones would cover rooms then. Covariances (n, 2, 2) that are not finite are skipped, and ellipses that have
+    a half axis above `largest` metres.
     """
     from matplotlib.collections import PolyCollection
 
@@ -147,7 +150,7 @@ def ellipses(axes: Axes, centres: Floats, covariances: Floats, colour: str, *, e
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.stack([np.cos(angle), np.sin(angle)])
     outlines = directions @ (factor * half_axes[..., None] * circle)
-    outlines = centres[known][:, None, :] + outlines.transpose(0, 2, 1)
+    outlines = (centres[known][:, None, :] + outlines.transpose(0, 2, 1))[half_axes[:, 1] <= largest]
     axes.add_collection(
         PolyCollection(list(outlines), facecolor=(*_rgb(colour), 0.15), edgecolor=colour, linewidth=0.8, zorder=6)
     )

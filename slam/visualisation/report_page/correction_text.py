@@ -16,7 +16,10 @@ def outcome_lines(outcome: dict[str, Any]) -> list[str]:
     if "shift" in outcome:
         moved = f"keyframe {outcome['keyframe']} moves by {length(outcome['shift'])}"
         if "fit" not in outcome:
-            return [f"{moved}; it was at the place of keyframe {outcome['old']}"]
+            lines = [f"{moved}; it was at the place of keyframe {outcome['old']}"]
+            if outcome.get("separated"):
+                lines.append("the parts of the map that it joined are unconnected: odometry alone places the later one")
+            return lines
         return [
             f"{moved} to the place of keyframe {outcome['old']}: {outcome['deviations']:.1f} standard deviations; "
             f"{percent(outcome['fit'])} of the points fit, {counted(outcome['merged'], 'wall')} merged"

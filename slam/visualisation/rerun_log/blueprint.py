@@ -69,9 +69,10 @@ def layout(extent: Extent) -> rrb.Blueprint:
         rrb.Tabs(first, *views, active_tab=plot)
         for first, views in zip((panels.compared_points(), panels.histogram()), panels.plots(), strict=True)
     )
-    tables = panels.decisions()
-    plots = rrb.Horizontal(left, right, *tables, column_shares=[3, 3, *[4 for _ in tables]])
-    top = rrb.Horizontal(panels.maps(), panels.details(), panels.texts(), column_shares=[4, 4, 3])
+    rows = rrb.Tabs(panels.log(), *panels.decisions(), active_tab=0)
+    plots = rrb.Horizontal(left, right, rows, column_shares=[3, 3, 5])
+    texts = rrb.Tabs(*panels.documents(), active_tab=0 if extent.corrected else 1)
+    top = rrb.Horizontal(panels.maps(), panels.details(), texts, column_shares=[4, 4, 3])
     timeline = CLOSURE if extent.corrected else KEYFRAME
     return _whole(rrb.Vertical(top, plots, row_shares=[5, 2]), timeline)
 
@@ -84,7 +85,7 @@ def side_by_side(extents: Mapping[str, Extent]) -> rrb.Blueprint:
         views = [view for together in panels.plots() for view in together]
         views += [panels.compared_points(), panels.histogram()]
         plots = rrb.Tabs(*views, *panels.decisions(), active_tab=0)
-        texts = rrb.Tabs(*panels.documents(), panels.log(), active_tab=0)
+        texts = rrb.Tabs(panels.log(), *panels.documents(), active_tab=0)
         columns.append(rrb.Vertical(panels.maps(root), panels.details(), texts, plots, row_shares=[5, 5, 3, 3]))
     return _whole(rrb.Horizontal(*columns), KEYFRAME)
 
@@ -148,11 +149,6 @@ class _Panels:
             rrb.GraphView(origin=f"{self._root}graph", name="Graph"),
             active_tab=0 if self._extent.corrected else 1,
         )
-
-    def texts(self) -> rrb.Vertical:
-        """Return the text documents and the text log."""
-        documents = rrb.Tabs(*self.documents(), active_tab=0 if self._extent.corrected else 1)
-        return rrb.Vertical(documents, self.log(), row_shares=[3, 2])
 
     def documents(self) -> list[rrb.TextDocumentView]:
         """Return the views of the text documents."""

@@ -66,16 +66,14 @@ def loop_report(event: LoopDecided) -> str:
         "",
         f"{event.reason}; motion of the robot ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.1f}°",
         "",
-        "| value | gate | check | |",  # the panel may be narrow, and cut the last columns
-        "|---|---|---|---|",
     ]
+    # A list, not a table: the panel may be narrow, and the viewer breaks the lines of lists only.
     for check in event.checks:
-        relation = "≥" if check.at_least else "≤"
-        verdict = "" if check.passed else "**fails**"
-        name = _CHECKS.get(check.name, check.name)
-        lines.append(f"| {check.value:.3g} | {relation} {check.gate:.3g} | {name} | {verdict} |")
+        limit = f"at {'least' if check.at_least else 'most'} {check.gate:.3g}"
+        verdict = "" if check.passed else ": **fails**"
+        lines.append(f"- {_CHECKS.get(check.name, check.name)}: **{check.value:.3g}** ({limit}){verdict}")
     if event.correction is not None:
-        lines += _correction_table(event.correction, len(event.merged))
+        lines += _correction_lines(event.correction, len(event.merged))
     return "\n".join(lines)
 
 
@@ -91,19 +89,24 @@ _CHECKS = {
 }
 
 
-def _correction_table(correction: Correction, merged: int) -> list[str]:
+def _correction_lines(correction: Correction, merged: int) -> list[str]:
     shifts = correction.shifts()
     moved = int((shifts > MIN_SHIFT).sum())
-    chi2 = [correction.chi2_before, correction.chi2_strained, correction.chi2]
-    steps = " → ".join("?" if math.isnan(value) else f"{value:.0f}" for value in chi2)
+    chi2 = {
+        "before": correction.chi2_before,
+        "with the loop, not optimised": correction.chi2_strained,  # unknown if the loop was retracted
+        "optimised": correction.chi2,
+    }
+    known = {name: value for name, value in chi2.items() if not math.isnan(value)}
     return [
         "",
-        "| | correction |",
-        "|---|---|",
-        f"| {merged} | merged walls |",
-        f"| {shifts.max(initial=0.0):.2f} m, {shifts.mean() if len(shifts) else 0.0:.2f} m | largest, mean shift |",
-        f"| {moved} of {len(shifts)} | keyframes moved by more than {100 * MIN_SHIFT:.0f} cm |",
-        f"| {steps} | chi² before → loop added, not optimised → optimised |",
+        "Correction:",
+        "",
+        f"- merged walls: **{merged}**",
+        f"- keyframes moved by more than {100 * MIN_SHIFT:.0f} cm: **{moved}** of {len(shifts)}",
+        f"- shift of the keyframes: **{shifts.max(initial=0.0):.2f} m** at most, "
+        f"{shifts.mean() if len(shifts) else 0.0:.2f} m on average",
+        f"- chi² {' → '.join(known)}: **{' → '.join(f'{value:.0f}' for value in known.values())}**",
     ]
 
 

@@ -259,10 +259,11 @@ class EventLog:
         self._log_map(event.walls, event.corners, event.keyframes, event.keyframes)
         if self._corrections > self._correction_steps and len(event.keyframes):
             self._pose = event.keyframes[-1]
-            self._keyframe_layer.place(self._pose)
+            self._keyframe_layer.correct(self._pose, event.walls, event.corners)
         self._dof = event.dof
         self._fit = self._per_dof(event.chi2)
-        self._time_series.log("chi2", {"chi² / dof": self._fit})
+        if self._index is not None:  # not of the map before a refinement, which has no keyframe in this log
+            self._time_series.log("chi2", {"chi² / dof": self._fit})
         if event.shift > MIN_LOGGED_SHIFT:
             self._log_text(f"the path moved by up to {event.shift:.2f} m", "INFO")
 
@@ -321,4 +322,6 @@ class EventLog:
         self._path_layer.log_growing_paths()
         log_grid(self._writer, self._scan_layer.placed(event.keyframes), CELL)
         log_confidence(self._writer, event)
+        counts = f"{len(event.keyframes)} keyframes, {len(event.walls)} walls, {len(event.corners)} corners"
+        self._log_text(f"finished: {counts}", "INFO")
         self._log_document("summary", documents.summary(event.summary))

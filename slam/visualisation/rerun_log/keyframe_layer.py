@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,7 @@ class KeyframeLayer:
         self._writer, self._time_series = writer, time_series
         self._non_empty: set[str] = set()  # entities whose last row was not empty
         self._relocalisations: list[se2.Pose] = []
+        self._event: KeyframeAdded | None = None  # the last one
         outline = to_3d(ROBOT_OUTLINE, Height.ESTIMATE)
         writer.log_static("world/robot/outline", rr.LineStrips3D([outline], colors=colours.ESTIMATE, radii=_THICK))
         dot = rr.Points3D(to_3d([[0.0, 0.0]], Height.ESTIMATE), colors=colours.ESTIMATE, radii=_CORNER_SIZE)
@@ -62,6 +64,13 @@ class KeyframeLayer:
         self._writer.log("world/here", rr.Transform3D(translation=[x, y, 0.0]))
         self._writer.log("world/keyframe", _transform(pose))
 
+    def correct(self, pose: se2.Pose, lines: MapWalls, corners: MapCorners) -> None:
+        """Move the last keyframe with its features to its pose in a corrected map."""
+        self.place(pose)
+        if self._event is not None:
+            self._event = replace(self._event, pose=pose)
+            self._log_features(self._event, lines, corners)
+
     def log_relocalisation(self, event: Relocalised, keyframe: int) -> None:
         """Draw the robot's outline at the pose of a relocalisation after a keyframe.
 
@@ -81,6 +90,7 @@ class KeyframeLayer:
         overlap_ratio   from the registration of its scan
         lines, corners  the map as last received
         """
+        self._event = event
         position_sigma, heading_sigma = self._log_pose(event)
         self._log_features(event, lines, corners)
         self._log_time_series(event, overlap_ratio, position_sigma, heading_sigma)

@@ -80,9 +80,7 @@ class DecisionLayer:
         ends = np.stack([pose[:2], there[:2]])[None]
         if event.status in DASHED:
             ends = dashed(ends)
-        label = f"x{event.index} to x{event.old} {event.status}"
-        label += f": {event.reason}" if event.status in (LoopStatus.REJECTED, LoopStatus.RETRACTED) else ""
-        labels = [label, *([""] * (len(ends) - 1))]
+        labels = [f"x{event.index} to x{event.old} {event.status}", *([""] * (len(ends) - 1))]
         strips = rr.LineStrips3D.from_fields(strips=to_3d(ends, Height.DECISION), colors=colour, labels=labels)
         self._writer.log("world/loops/candidate", strips)
         self._decision_visible = True
@@ -184,12 +182,10 @@ def _markdown(text: str) -> rr.TextDocument:
 
 def _describe(event: LoopDecided) -> str:
     """Return the decision as a line of the text log."""
-    x, y, heading = event.motion
-    where = f"x{event.index} at x{event.old}, {math.hypot(x, y):.2f} m, {math.degrees(heading):.1f}°"
-    outcome = {
-        LoopStatus.ACCEPTED: f"{len(event.merged)} walls merged, the robot moved by {event.shift:.2f} m",
-    }.get(event.status, event.reason)
-    return f"loop {event.candidate} {event.status}: {outcome} ({where})"
+    outcome = event.reason
+    if event.status == LoopStatus.ACCEPTED:
+        outcome = f"{len(event.merged)} walls merged, the robot moved by {event.shift:.2f} m"
+    return f"loop {event.candidate} {event.status}: {outcome} (x{event.index} at x{event.old})"
 
 
 def _table_row(event: LoopDecided) -> dict[str, Any]:

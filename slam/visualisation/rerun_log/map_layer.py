@@ -6,15 +6,13 @@ import math
 
 import rerun as rr
 
+from ...io.exports.svg_drawing import MAX_ELLIPSE
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
 from .rrd_writer import RrdWriter
 from .shapes import SIGMAS, Height, ellipses, largest_sigmas, to_3d, wall_bands
 
 MIN_OBSERVATIONS = 3  # keyframes; walls observed less often are drawn dimmer
-MAX_ELLIPSE = 0.75
-"""Metres, largest half axis of a corner's ellipse. Larger ones are due to drift that the corners around share, and
-would cover the walls between them; the corner's label states the sigma instead."""
 
 _WALL_WIDTH, _BAND_WIDTH, _CORNER_SIZE = rr.Radius.ui_points(1.3), rr.Radius.ui_points(0.5), rr.Radius.ui_points(2.2)
 _OUTLINE = rr.Radius.ui_points(0.4)

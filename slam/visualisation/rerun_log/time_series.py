@@ -13,6 +13,7 @@ from .colours import SERIES, Colour
 from .rrd_writer import RrdWriter
 
 MAX_VALUES = 2000  # latest values of a group from which its typical range is computed
+SPARSE = ("chi2", "fit")  # groups with few values, each shown as a point as well: a line needs two
 
 
 class TimeSeries:
@@ -36,6 +37,9 @@ class TimeSeries:
             colours = [SERIES[i % len(SERIES)] for i in range(first, first + len(unknown))]
             series = rr.SeriesLines(names=unknown, colors=colours, widths=[1.5] * len(unknown))
             self._writer.log_static(_entity(group, len(parts) - 1), series)
+            if group in SPARSE:
+                points = rr.SeriesPoints(names=unknown, colors=colours, marker_sizes=[2.0] * len(unknown))
+                self._writer.log_static(_entity(group, len(parts) - 1), points)
         nan = float("nan")
         self._largest.setdefault(group, deque(maxlen=MAX_VALUES)).append(max(values.values(), default=nan))
         for number, names in enumerate(parts):

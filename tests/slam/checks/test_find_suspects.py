@@ -73,6 +73,16 @@ def test_slipping_wheels_in_a_corridor_are_found() -> None:
     assert [suspect.check for suspect in found] == [ODOMETRY]
     assert abs(found[0].stamp - 31.0) < SECONDS
     assert "slipped" in found[0].text
+    assert "direction" not in found[0].text
+
+
+def test_wheels_that_turned_backwards_are_named() -> None:
+    drive = simulated_drive("corridor")
+    (found, *_) = find_suspects(replace(drive, odometry=slipping(drive, 30.0, -4.0)))
+    assert found.check == ODOMETRY
+    stated = re.search(r"in a direction that differs by (\d+) degrees", found.text)
+    assert stated is not None
+    assert float(stated[1]) > 150.0
 
 
 def test_a_path_that_follows_slipping_wheels_in_a_corridor_is_found_on_the_way_back() -> None:

@@ -175,6 +175,17 @@ def test_svg_is_true_to_scale_with_y_up(results: RunResults, tmp_path: Path) -> 
     assert float(corners[0].attrib["rx"]) == pytest.approx(3 * np.sqrt(4.414e-5), abs=1e-4)
 
 
+def test_svg_leaves_out_ellipses_that_would_cover_walls(results: RunResults, tmp_path: Path) -> None:
+    """The corners of a part of the map that is not connected are uncertain by metres."""
+    uncertain = replace(results.corners, covariance=results.corners.covariance.copy())
+    uncertain.covariance[0] = 25.0 * np.eye(2)
+    write_svg(tmp_path / "map.svg", replace(results, corners=uncertain))
+    root, space = ElementTree.parse(tmp_path / "map.svg").getroot(), {"s": "http://www.w3.org/2000/svg"}
+    assert not root.findall("s:g[@class='corners']/s:ellipse", space)
+    assert len(root.findall("s:g[@class='corners']/s:path", space)) == len(uncertain)
+    assert "standard deviation 5000.0 mm" in (tmp_path / "map.svg").read_text()
+
+
 def test_the_table_has_doors_without_a_standard_deviation(measured: MeasuredMap) -> None:
     last = measurements_csv(measured).splitlines()[-1]
     assert last == "1,door,10,1.00,,m,2.0000,0.0000,3.0000,0.0000"
@@ -366,6 +377,10 @@ def test_invalid_directory_is_refused(wclm: Any, ran: Path, command: str) -> Non
         (ran / name).write_text(broken)
         refuses("out", words)
         (ran / name).write_bytes(content)
+
+
+def test_an_unknown_format_names_the_known_ones(wclm: Any, ran: Path) -> None:
+    wclm.refuses("map", "out", "--format", "xyz", because=["Invalid value for '--format': 'xyz' is not one of 'pgm', "])
 
 
 def test_contradictory_thresholds_are_a_usage_error(wclm: Any, ran: Path) -> None:

@@ -7,6 +7,7 @@ import copy
 import numpy as np
 
 from drivers import se2
+from slam.estimation.map_view import map_features
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.graph.factors import FactorKind
 from slam.loop_closure.closing import close_loop
@@ -21,17 +22,26 @@ from .rooms import INSIDE, ROOM
 
 
 def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, known: list[int] | None) -> list[int]:
-    """Add a keyframe that sees all walls, as new ones or as the `known` ids; return their ids."""
+    """Add a keyframe that sees all walls, as new ones or as the `known` ids; return their ids.
+
+    It also sees the corner between the first two walls: each pass has one.
+    """
     frames = se2.between(pose, walls[:, :3])
     segments = Segments(frames, walls[:, 3], np.tile(np.diag([0.01, 0.01]) ** 2, (len(walls), 1, 1)))
-    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
+    seen = min(len(walls), 1)
+    corners = CornerPoints(
+        np.array([se2.transform(frames[k], np.array([walls[k, 3], 0.0])) for k in range(seen)]).reshape(-1, 2),
+        np.tile(np.diag([0.01, 0.01]) ** 2, (seen, 1, 1)),
+        np.array([[0, 1]])[:seen],
+        frames[:2, 2].reshape(seen, 2),
+    )
     rows = np.full(len(walls), UNMATCHED) if known is None else np.arange(len(walls))
     local = empty_local_map()
     if known is not None:
-        local = type(local)(**{**{name: getattr(local, name) for name in local.__slots__}, "walls": np.array(known)})
-    none = np.zeros(0)
-    nobody = np.zeros(0, dtype=int)
-    association = Association(rows, np.zeros(len(walls)), rows, nobody, none, nobody)
+        corner = np.array([known[0] // len(walls)])  # 0 in the first pass, 1 in the second
+        named = {name: getattr(local, name) for name in local.__slots__}
+        local = type(local)(**{**named, "walls": np.array(known), "corners": corner})
+    association = Association(rows, np.zeros(len(walls)), rows, rows[:seen], np.zeros(seen), rows[:seen])
     covariance = np.diag([0.05, 0.05, 0.03]) ** 2
     first = mapper.keyframe_count == 0
     step = None if first else KeyframeMotion(mapper.keyframe_count - 1, motion, covariance)
@@ -96,6 +106,16 @@ def test_matches_that_agree_correct_the_pose_and_merge_walls_that_coincide_then(
     loops = [factor for factor in factors if factor.kind is FactorKind.LOOP]
     assert len(loops) == 4
     assert all(factor.covariance[0, 0] >= 0.03**2 for factor in loops)  # those that only moved the map are removed
+
+
+def test_a_corner_of_merged_walls_is_one_corner_of_the_map() -> None:
+    mapper, first, _ = drifted_mapper(np.array([1.6, -1.0, 0.2]))
+    assert len(map_features(mapper)[1]) == 2
+    close_loop(mapper, agreeing_decision(mapper, 4 * [np.array([0.05, 0.0, 0.0])]))
+    _, corners = map_features(mapper)
+    assert (corners.identity.tolist(), corners.walls.tolist()) == ([0], [first[:2]])
+    assert corners.observations.tolist() == [4]
+    np.testing.assert_allclose(corners.position[0], (6.0, 0.0), atol=0.01)
 
 
 def test_matches_that_contradict_each_other_are_rejected() -> None:

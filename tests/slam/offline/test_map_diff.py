@@ -167,6 +167,9 @@ def test_outputs_name_the_changes(random: np.random.Generator, tmp_path: Path) -
     text = diff_text(found, corners)
     assert text.splitlines()[0].startswith("new: ")
     assert "6 walls are the same" in text
+    assert "no wall has moved" not in text
+    unchanged = diff_text(changes_of(old, hall(random)), [])
+    assert unchanged.startswith("no wall has moved, is gone or is new; 6 walls are the same")
     write_diff_geojson(tmp_path / "a.geojson", found, corners)
     features = json.loads((tmp_path / "a.geojson").read_text())["features"]
     wall = next(feature for feature in features if feature["properties"]["change"] == "new")

@@ -195,11 +195,14 @@ def test_time_series_have_names_and_units(corridor):
 
 
 def test_text_log_and_documents_have_the_events_texts(corridor):
-    path, _ = corridor
+    path, events = corridor
+    finished = events[-1]
+    counts = f"{len(finished.keyframes)} keyframes, {len(finished.walls)} walls, {len(finished.corners)} corners"
     assert rows(path, "/log", "TextLog:text") == [
         (12, ["no odometry for 1.2 s"]),
         (20, ["L4 merged into L3, d²=2.2"]),
         (40, ["the path moved by up to 0.30 m"]),
+        (135, [f"finished: {counts}"]),
     ]
     assert "sigma_range = 0.01" in last(path, "/config", "TextDocument:text")[0]
     summary = last(path, "/summary", "TextDocument:text")[0]

@@ -18,6 +18,7 @@ from slam.loop_closure.loop_status import LoopStatus
 from slam.pipeline import Slam
 from slam.visualisation.rerun_log import ReviewLog
 from slam.visualisation.rerun_log.rrd_reader import Row, chunks_of, rows
+from slam.visualisation.rerun_log.shapes import segment_ends
 
 from ..corridor import of_kind
 from ..listeners import EventCollector
@@ -112,6 +113,15 @@ def test_the_map_update_after_a_closure_has_the_path_of_its_correction(logged: L
             after = next(later for later in logged.events[place:] if isinstance(later, MapUpdated))
             assert event.correction is not None
             np.testing.assert_allclose(after.keyframes, event.correction.keyframes, atol=1e-6)
+
+
+def test_the_features_of_the_last_keyframe_move_with_a_correction(logged: Logged) -> None:
+    shown = {row.keyframe: row.values for row in logged.rows("/world/features/segments")}  # the last row of each
+    for event in decisions(logged):
+        if event.status == LoopStatus.ACCEPTED and event.correction is not None:
+            (seen,) = [one for one in logged.events if isinstance(one, KeyframeAdded) and one.index == event.index]
+            ends = segment_ends(seen.segments, event.correction.keyframes[-1])
+            np.testing.assert_allclose(np.array(shown[event.index]["LineStrips3D:strips"])[..., :2], ends, atol=1e-3)
 
 
 def test_compared_points_lie_on_the_old_place_after_alignment(logged: Logged) -> None:
