@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -93,8 +93,7 @@ WALL_KINDS = (
 PRIOR_KINDS = (FactorKind.POSE_PRIOR, FactorKind.PLAN_WALL, FactorKind.PINNED_POSE, FactorKind.PINNED_WALL)
 # Kinds of factors with surveyed coordinates. Origin: definition.
 PIN_KINDS = (FactorKind.PINNED_POSE, FactorKind.PINNED_WALL)
-# Keys of the first and the second variable with number 0, from which the others follow. Other kinds of factors lead
-# from a keyframe to a wall. Origin: definition.
+# Keys of the first and the second variable with number 0, from which the others follow. Origin: definition.
 _FIRST_KEYS = {
     FactorKind.POSE_PRIOR: (X(0), X(0)),
     FactorKind.WALL_EQUALITY: (L(0), L(0)),
@@ -107,6 +106,8 @@ _FIRST_KEYS = {
     FactorKind.ODOMETRY: (X(0), X(0)),
     FactorKind.LOOP: (X(0), X(0)),
 }
+# The same of other kinds of factors, which lead from a keyframe to a wall. Origin: definition.
+_FIRST_KEYS_OF_OTHERS = (X(0), L(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,6 +131,16 @@ def walls_of(factor: Factor) -> tuple[int, ...]:
     if factor.kind in (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL):
         return factor.first, factor.second
     return (factor.second,) if factor.kind in (*WALL_KINDS, FactorKind.WALL) else ()
+
+
+def keys_of(factors: Iterable[Factor]) -> set[int]:
+    """Return the keys of the variables of some factors."""
+    keys = set()
+    for factor in factors:
+        first, second = _FIRST_KEYS.get(factor.kind, _FIRST_KEYS_OF_OTHERS)
+        keys.add(first + factor.first)
+        keys.add(second + factor.second)
+    return keys
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,7 +230,7 @@ def by_kind(factors: Sequence[Factor]) -> list[FactorsOfKind]:
             FactorsOfKind(
                 kind,
                 np.array(rows),
-                numbers + np.array(_FIRST_KEYS.get(kind, (X(0), L(0))), dtype=np.uint64),
+                numbers + np.array(_FIRST_KEYS.get(kind, _FIRST_KEYS_OF_OTHERS), dtype=np.uint64),
                 _stacked([f.measured for f in chosen]),
                 _stacked([f.covariance for f in chosen]),
                 _stacked([f.bias_slope for f in chosen]),

@@ -25,7 +25,8 @@ FIRST_STEP, BIAS_STEP = 5e-3, 1e-3
 # Metres: standard deviation of the bias before the drive. Origin: data sheet of lidars for indoor use, which state an
 # accuracy of 1 to 3 cm, two to three standard deviations of all systematic errors.
 PRIOR_SIGMA = 0.01
-# Maximum of parabolas: the robust weights follow the bias. Origin: measured, 2 to 4 are needed.
+# Maximum of parabolas: the robust weights follow the bias. Origin: chosen; on two recordings the estimate is within
+# 0.3 and 0.8 standard deviations of its limit after the two estimates of a run.
 MAX_PARABOLAS = 6
 # Share of the standard deviation: the estimate has converged if a step changes it by less. Origin: numerical.
 CONVERGED_SHARE = 0.2
@@ -71,12 +72,13 @@ def estimate_range_bias(
     bias, sigma, response = start.metres, prior_sigma, np.zeros_like(values)
     for _ in range(MAX_PARABOLAS):
         try:
-            (_, low), (here, middle), (beyond, high) = (
-                _solve(graph, values, bias + change) for change in (-step, 0.0, step)
-            )
+            here = graph.step(values, bias)
+            response = (graph.step(values, bias + step) - here) / step
         except MapError:  # undetermined in this form; the incremental solver may still manage with QR
             return None
-        response = (beyond - here) / step
+        low, middle, high = (
+            graph.cost(graph.retract(values, here + change * response), bias + change) for change in (-step, 0.0, step)
+        )
         curvature = max((low - 2.0 * middle + high) / step**2, 0.0) + 2.0 / prior_sigma**2
         change = -((high - low) / (2.0 * step) + 2.0 * bias / prior_sigma**2) / curvature
         sigma = float(np.sqrt(2.0 / curvature))
@@ -85,9 +87,3 @@ def estimate_range_bias(
             break
         step = BIAS_STEP
     return RangeBias(float(bias), sigma, graph.by_key(response))
-
-
-def _solve(graph: ArrayGraph, values: Floats, bias: float) -> tuple[Floats, float]:
-    """Return a Gauss-Newton step from `values` with a range bias, and twice the robust cost after it."""
-    step = graph.step(values, bias)
-    return step, graph.cost(graph.retract(values, step), bias)

@@ -12,7 +12,7 @@ from slam.errors import MapError
 from slam.graph.array_graph import ArrayGraph
 from slam.graph.block_cholesky import Pattern, factorise, inverse_blocks, solve
 from slam.graph.factor_graph import FactorGraph
-from slam.graph.factors import to_gtsam_graph
+from slam.graph.factors import keys_of, to_gtsam_graph
 
 BIAS = 0.02
 
@@ -64,6 +64,11 @@ def test_arithmetic_is_that_of_gtsam(seed: int) -> None:
     step = expected.linearize(as_gtsam).optimize()
     for key, vector in arrays.by_key(arrays.step(values, BIAS)).items():
         np.testing.assert_allclose(vector, step.at(key), atol=1e-7)
+
+
+def test_keys_of_factors_are_those_of_gtsam() -> None:
+    for factor in graph_of_all_kinds(np.random.default_rng(0)).solver.sorted_factors():
+        assert keys_of([factor]) == set(to_gtsam_graph([factor], 0.0).at(0).keys()), factor.kind
 
 
 def test_marginals_are_those_of_the_incremental_solver() -> None:
