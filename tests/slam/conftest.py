@@ -1,7 +1,8 @@
 """Fixtures of several tests: a small map, a replacement of the pipeline, commands, and a review log."""
 
+import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,7 +52,7 @@ def finished() -> Finished:
 
 
 @pytest.fixture
-def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
+def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> Iterator[type]:
     """Replacement of the pipeline that returns odometry and a fixed map, and fails on demand."""
 
     class FakeSlam:
@@ -88,8 +89,12 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> type:
             )
 
     monkeypatch.setattr("slam.warmup.warm_up", lambda: None)  # first, as importing it imports the real pipeline
+    real = sys.modules["slam.pipeline"].Slam
     monkeypatch.setattr("slam.pipeline.Slam", FakeSlam)
-    return FakeSlam
+    yield FakeSlam
+    for module in list(sys.modules.values()):  # those that were imported meanwhile have imported the replacement
+        if getattr(module, "__dict__", {}).get("Slam") is FakeSlam:
+            module.__dict__["Slam"] = real
 
 
 class Wclm:
