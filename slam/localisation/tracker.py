@@ -35,8 +35,9 @@ SLIP_COST = 3.0
 # Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
 # Origin: chi-square, 3 dof, 99.7 %.
 MAX_SLIP = 3.7
-# Seconds for which the robot moves on evenly in this prediction: after that time it may have any velocity. Without
-# odometry, a steady motion is all that is known. Origin: definition, at ACCELERATIONS.
+# Seconds for which an even motion is predicted while odometry fails. After that time the robot may have any velocity.
+# Without odometry there is no such limit: nothing else is known of the motion. Origin: definition, the time in which
+# ACCELERATIONS lead to MAX_VELOCITIES.
 STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 # Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
@@ -140,13 +141,13 @@ class Tracker:
             self._travel_since_view_change += float(wheel_travel(se2.between(self._odometry, odometry)))
         untracked = result.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or self._last_score < score_before - SUSPICIOUS_DROP
-        changes = suspicious and self._view_differs(view)
-        if changes:
+        differs = suspicious and self._view_differs(view)
+        if differs:
             self._travel_since_view_change = 0.0
         self._odometry = odometry
         if view.comparable:
             self._view = view
-        abrupt = (changes and not untracked) or (result.abrupt and self.view_changed)
+        abrupt = (differs and not untracked) or (result.abrupt and self.view_changed)
         return replace(result, abrupt=abrupt)
 
     def _view_differs(self, view: View) -> bool:

@@ -25,19 +25,20 @@ from ..matching.scan_points import subsample
 from ..odometry.history import wheel_travel
 
 # (n, 3) errors [x, y, heading] of odometry between two scans that are tried (metres, metres, radians).
-# Origin: chosen, 0.1 m and 16 degrees in steps of 0.1 m and 2 degrees. Steps of 8 degrees lost one scan of a simulated
-# drive that scored 0.38.
+# Origin: chosen, 0.1 m and 16 degrees in steps of 0.1 m and 2 degrees; with steps of 8 degrees one pair of scans of a
+# simulated drive was taken for different places.
 ODOMETRY_ERRORS = np.stack(
     np.meshgrid([-0.1, 0.0, 0.1], [-0.1, 0.0, 0.1], np.radians(np.arange(-16.0, 16.1, 2.0)), indexing="ij"), axis=-1
 ).reshape(-1, 3)
-# Share of agreeing points above which two scans show the same place. Origin: measured. Of consecutive scans on nine
-# recordings and five simulated drives, also with 30 points, all reach 0.58; scans from elsewhere on the same drives
-# have medians of 0.14 to 0.44, along a bare corridor of 0.85.
+# Share of agreeing points above which two scans show the same place. Origin: measured. Consecutive scans of nine
+# recordings and six simulated drives, some with 30 points, reach at least 0.58. The medians of scans from elsewhere are
+# 0 to 0.44 on these drives, except for 0.85 in a bare corridor.
 SAME_PLACE_SHARE = 0.5
-# Metres beyond the ranges of the neighbouring beams within which a point agrees. Origin: chosen, the steps of
-# ODOMETRY_ERRORS leave 0.05 m and 1 degree, as much at a range of 6 m; not measured.
+# Metres beyond the ranges of the neighbouring beams within which a point agrees. Origin: chosen, what the steps of
+# ODOMETRY_ERRORS leave: 0.05 m, and 1 degree, which is 0.1 m at a range of 6 m; not measured.
 MARGIN = 0.15
-# Spacings of the beams, their median, up to which two beams are neighbours. Origin: chosen, one beam may be missing.
+# Multiple of the median spacing of the beams up to which two beams are neighbours. Origin: chosen, one beam between
+# them may have no return.
 NEIGHBOUR_SPACINGS = 2.5
 # Metres around the robot within which points are compared. Origin: chosen, a usual range indoors; not measured.
 COMPARED_RADIUS = 12.0

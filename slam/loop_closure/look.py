@@ -223,9 +223,8 @@ class Look:
         over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
         covariance = self._mapper.covariances.relative(match.keyframe, other.keyframe) + np.diag(UNMODELLED_SIGMAS**2)
         covariance += covariance_after(match.covariance, over_old) + other.covariance
-        return _squared(se2.between(poses[match.keyframe], poses[other.keyframe]), over_old, covariance) < (
-            MAX_SQUARED_DISTANCE
-        )
+        estimated = se2.between(poses[match.keyframe], poses[other.keyframe])
+        return _squared(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
 
     def search(self, old: int) -> Sequence[SubmapMatch]:
         """Return the poses of the submap in that of an old place that the estimate's uncertainty admits."""

@@ -188,9 +188,9 @@ def _from_neighbours(
     neighbours = np.arange(count) - 1
     to_scan, informations = np.zeros((count, 3)), np.zeros((count, 3, 3))
     to_scan[1:], informations[1:] = motions, np.linalg.inv(covariances)
-    first = np.concatenate([[True], unmeasured])[:-1]  # the last scan has no scan after it
-    neighbours[:-1][first] += 2
-    to_scan[:-1][first], informations[:-1][first] = se2.inverse(motions[first]), informations[1:][first]
+    from_next = np.flatnonzero(np.concatenate([[True], unmeasured])[:-1])  # the last scan has no scan after it
+    neighbours[from_next] = from_next + 1
+    to_scan[from_next], informations[from_next] = se2.inverse(motions[from_next]), informations[from_next + 1]
     return np.maximum(neighbours, 0), to_scan, informations
 
 
