@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from collections.abc import Callable, Iterator
+from functools import cache
 from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
@@ -83,7 +84,7 @@ def simulations_of(seconds: float) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def timing_is_estimated_once() -> Iterator[None]:
     """Estimate the timing of a recording once: the recordings of the pages are copies of a few, under several names."""
     with pytest.MonkeyPatch.context() as patch:
@@ -94,8 +95,9 @@ def timing_is_estimated_once() -> Iterator[None]:
         yield
 
 
+@cache
 def _cached(estimate: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of turns that computes its result once for turns with the same odometry."""
+    """Return a function of turns that computes its result once in all modules for turns with the same odometry."""
     found: dict[tuple[Any, ...], Any] = {}
 
     def cached(turns: Turns, *others: float) -> Any:

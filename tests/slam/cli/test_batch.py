@@ -12,6 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -28,7 +29,9 @@ SHORT = ("sim:room?duration=3", "sim:room?duration=4")
 
 
 def table(out: Path) -> dict[str, dict[str, Any]]:
-    return {row["name"]: row for row in pq.read_table(out / "batch.parquet").to_pylist()}
+    # A file opened by name is opened twice, and the command may replace it in between.
+    content = pa.BufferReader((out / "batch.parquet").read_bytes())
+    return {row["name"]: row for row in pq.read_table(content).to_pylist()}
 
 
 def unfinished(out: Path) -> list[Path]:
