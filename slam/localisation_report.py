@@ -42,6 +42,10 @@ class LocalisationReport:
             self._publisher.publish(Relocalised(stamp, estimator.result.pose.copy(), result.joined))
             self._publisher.publish(Notice(stamp, "relocalised in the map", "INFO"))
             self.handle(stamp, LocalisationEvent.RELOCALISED)
+        elif result.resumed:
+            self._publisher.publish_map(stamp, estimator.result.mapper)
+            self._publisher.publish(Notice(stamp, "the scans fit where the robot was expected in the map", "INFO"))
+            self.handle(stamp, LocalisationEvent.RELOCALISED)
         elif result.retracted is not None and result.retracted.joins:
             self.handle(stamp, LocalisationEvent.TRACKING_LOST)
         elif not self.lost:

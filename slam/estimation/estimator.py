@@ -1,8 +1,8 @@
 """Process scans one by one: track, map, close loops on trial, and retract closures that later scans contradict.
 
 If the robot loses its pose, a new part of the map begins at once, and the scans that fitted nowhere are processed again
-in it. On a frozen map this is a map on trial: when its place is recognised, it is discarded, and only the poses of its
-scans are kept.
+in it. If the next scans fit in the earlier part after all, the new one is discarded. On a frozen map a new part is a
+map on trial: when its place is recognised, it is discarded, and only the poses of its scans are kept.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import ClosureMonitor
+from .earlier_part import EarlierPart
 from .loop_update import close_loop
 from .plan_update import update_by_plan
 from .scan_update import KeyframeUpdate, track, update_map
@@ -42,6 +43,7 @@ class ScanResult:
     in_plan     true if the map was recognised in the plan and moved to its frame
     began_part  true if the pose was lost and a new part of the map began
     joined      first keyframe of the last part of the map if it was recognised in another one, or in the frozen map
+    resumed     true if the part of the map that had begun last was discarded, as the robot has not left the earlier one
     """
 
     tracking: TrackingResult
@@ -51,6 +53,7 @@ class ScanResult:
     in_plan: bool = False
     began_part: bool = False
     joined: int | None = None
+    resumed: bool = False
 
 
 class Estimator:
@@ -60,6 +63,7 @@ class Estimator:
         self.state = state
         self._monitor = ClosureMonitor()
         self._frozen: SlamState | None = None  # state of a frozen map while the robot is lost in it
+        self._earlier: EarlierPart | None = None  # while it is open if the robot has left it
 
     @property
     def result(self) -> SlamState:
@@ -77,12 +81,14 @@ class Estimator:
     def process(self, scan: ProcessedScan, timer: StageTimer | None = None) -> ScanResult:
         """Update the state by one scan. `timer` measures the stages."""
         timer = timer or StageTimer()
+        if self._earlier is not None and (resumed := self._test_earlier_part(scan)) is not None:
+            return resumed
         on_trial = self._frozen is not None
         tracking = track(self.state, scan, timer)
+        self._monitor.record(scan)  # before a closure, whose checkpoint includes this scan
         if tracking.abrupt:  # it fits here by chance, as in a look-alike place
             return self._begin_part_with([scan], timer, kidnapped=True)
         update = update_map(self.state, scan, tracking, timer)
-        self._monitor.record(scan)  # before a closure, whose checkpoint includes this scan
         if update is not None and update.loop is not None and update.loop.status is LoopStatus.CONFIRMED:
             update = self._close_loop(scan, update, update.loop)
             timer.lap("closing")
@@ -108,7 +114,7 @@ class Estimator:
             parts.drop_last()
         if not trial.mapper.keyframe_count or parts.current_is_apart or not trial.place(pose, scan):
             return False
-        self.state, self._frozen, self._monitor = trial, None, ClosureMonitor()
+        self.state, self._frozen, self._earlier, self._monitor = trial, None, None, ClosureMonitor()
         return True
 
     def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool) -> None:
@@ -118,16 +124,30 @@ class Estimator:
             self.state = self.state.copy()
             self.state.frozen = False
         self.state.begin_part(pose, odometry, kidnapped=kidnapped)
-        self._monitor = ClosureMonitor()
+        self._monitor, self._earlier = ClosureMonitor(), None
 
     def _begin_part_with(self, scans: Sequence[ProcessedScan], timer: StageTimer, *, kidnapped: bool) -> ScanResult:
         """Begin a part of the map with scans that did not fit; the result is that of the last one."""
         odometry = scans[0].odometry
+        earlier = self._earlier or EarlierPart(self.state.copy(), self._monitor)
         self.begin_part(self.state.predict(odometry), odometry, kidnapped=kidnapped)
+        self._earlier = earlier
         for scan in scans:
             tracking = track(self.state, scan, timer)
             update = update_map(self.state, scan, tracking, timer)
         return ScanResult(tracking, update, None, self.state.mapper, began_part=True)
+
+    def _test_earlier_part(self, scan: ProcessedScan) -> ScanResult | None:
+        """Add a scan to the test if the robot has left the earlier part; return the effects if it has not."""
+        assert self._earlier is not None
+        tracking = self._earlier.add(scan)
+        if self._earlier.left:
+            self._earlier = None
+        if self._earlier is None or not self._earlier.holds:
+            return None
+        self.state, self._monitor = self._earlier.state, self._earlier.monitor
+        self._earlier = self._frozen = None
+        return ScanResult(tracking, None, None, self.state.mapper, resumed=True)
 
     def _close_loop(self, scan: ProcessedScan, update: KeyframeUpdate, decision: LoopDecision) -> KeyframeUpdate:
         """Close a confirmed loop on a copy of the state; keep the copy if the map fits together.
@@ -138,6 +158,8 @@ class Estimator:
         decision = close_loop(trial, update.observations, decision)
         if decision.status is not LoopStatus.ACCEPTED:
             return replace(update, loop=decision)
+        if decision.joins:
+            self._earlier = None
         if self._frozen is not None and decision.old < self._frozen.mapper.keyframe_count:
             self.state, self._frozen = self._frozen.copy(), None
             self.state.relocalise(trial, scan.odometry)

@@ -8,6 +8,7 @@ scans in a row without a certain pose the robot counts as lost.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -134,21 +135,36 @@ class Tracker:
         return bool(self._travel_since_view_change < VIEW_CHANGE_MEMORY)
 
     def track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
-        """Estimate the base's pose at a scan taken when odometry was at `odometry`."""
-        score_before, view = self._last_score, View(odometry, scan.points.all)
-        result = self._track(stamp, odometry, scan, target)
+        """Estimate the base's pose at a scan taken when odometry was at `odometry`.
+
+        The robot counts as carried if a scan fits worse than the one before and shows another view, or if it fits
+        poorly and against odometry and the view has changed recently: it fits here by chance then.
+        """
+        predictions = self._predict(stamp, odometry)
+        match = target.match(scan, predictions)
+        status, slipped = self._judge(match, predictions, scan, target)
+        tracked = status is TrackingStatus.TRACKED
+        untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
+        suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
+        differs = self._compare_views(View(odometry, scan.points.all), suspicious=suspicious)
+        abrupt = tracked and (differs or (slipped and match.poor and self.view_changed))
+        if abrupt:
+            status, slipped = TrackingStatus.FAILED, False
+        result = self._result(match, status, slipped=slipped, abrupt=abrupt)
+        self._update_fix(result, match, predictions[0], odometry)
+        return result
+
+    def _compare_views(self, view: View, *, suspicious: bool) -> bool:
+        """Return True if a scan is suspicious and its view shows another place than the last one."""
         if self._odometry is not None:
-            self._travel_since_view_change += float(wheel_travel(se2.between(self._odometry, odometry)))
-        untracked = result.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
-        suspicious = untracked or self._last_score < score_before - SUSPICIOUS_DROP
+            self._travel_since_view_change += float(wheel_travel(se2.between(self._odometry, view.odometry)))
         differs = suspicious and self._view_differs(view)
         if differs:
             self._travel_since_view_change = 0.0
-        self._odometry = odometry
+        self._odometry = view.odometry
         if view.comparable:
             self._view = view
-        abrupt = (differs and not untracked) or (result.abrupt and self.view_changed)
-        return replace(result, abrupt=abrupt)
+        return differs
 
     def _view_differs(self, view: View) -> bool:
         """Return True if a view shows another place than the last one, or if it is the first one.
@@ -162,11 +178,10 @@ class Tracker:
         motion = self._model.correct(se2.between(self._view.odometry, view.odometry))
         return self._view.differs_from(view, motion)
 
-    def _track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
+    def _predict(self, stamp: float, odometry: se2.Pose) -> list[Prediction]:
+        """Return the predictions of the pose: the usual one, that after a slip, and those from a tentative pose."""
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
-        assert self._fix is not None
-        assert self._reference is not None
         interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
@@ -174,9 +189,15 @@ class Tracker:
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
             predictions += [replace(self._by_odometry(self._tentative, odometry), inertia=even), even]
-        match = target.match(scan, predictions)
-        chosen, fix_pose = match.points.prediction, match.points.pose
-        contradicts = usual.squared_distance(fix_pose) > KERNEL**2
+        return predictions
+
+    def _judge(
+        self, match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
+    ) -> tuple[TrackingStatus, bool]:
+        """Return the status of a scan, and True if odometry has slipped; the predictions are those of `_predict`."""
+        usual, slip = predictions[0], predictions[1] if len(predictions) > 1 else None
+        chosen, pose = match.points.prediction, match.points.pose
+        contradicts = usual.squared_distance(pose) > KERNEL**2
         # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
         resolved = self._tentative is not None and not contradicts
         confirmed = not resolved and chosen is not usual and chosen is not slip
@@ -185,28 +206,37 @@ class Tracker:
             and chosen is slip
             and not any(other.prediction is usual and _same_place(match, other) for other in match.others)
         )
-        self._tentative, self._usual_cost = None, 0.0
         if _too_few_features(scan) and len(target.landmarks.walls):
-            return self._result(match, TrackingStatus.NO_FEATURES)
-        self._untracked_in_a_row += 1
-        if not match.plausible or (slipped and slip.squared_distance(fix_pose) > MAX_SLIP**2):
-            return self._result(match, TrackingStatus.FAILED)
-        fix = PoseFix(fix_pose, odometry)
+            return TrackingStatus.NO_FEATURES, False
+        if not match.plausible or (slipped and chosen.squared_distance(pose) > MAX_SLIP**2):
+            return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
-        agree_for_long = self._untracked_in_a_row >= MAX_UNTRACKED_SCANS and not self.view_changed
+        agree_for_long = self._untracked_in_a_row + 1 >= MAX_UNTRACKED_SCANS and not self.view_changed
         if slipped or (confirmed and match.poor and not agree_for_long):
+            return TrackingStatus.TENTATIVE, False
+        return TrackingStatus.TRACKED, confirmed or contradicts
+
+    def _update_fix(self, result: TrackingResult, match: ScanMatch, usual: Prediction, odometry: se2.Pose) -> None:
+        """Remember the pose of a scan as the fix or as tentative, as its result says."""
+        self._tentative, self._usual_cost = None, 0.0
+        if result.status is TrackingStatus.NO_FEATURES:
+            return
+        fix = PoseFix(match.points.pose, odometry)
+        self._untracked_in_a_row += 1
+        if result.status is TrackingStatus.TENTATIVE:
             self._tentative = fix
-            usual_cost = min(other.cost for other in match.others if other.prediction is usual)
-            self._usual_cost = usual_cost - match.points.cost
-            return self._result(match, TrackingStatus.TENTATIVE)
-        slipped = confirmed or contradicts
-        result = self._result(match, TrackingStatus.TRACKED, slipped=slipped)
+            self._usual_cost = (
+                min(other.cost for other in match.others if other.prediction is usual) - match.points.cost
+            )
+        if result.status is not TrackingStatus.TRACKED:
+            return
+        assert self._fix is not None
+        self._last_score = match.score
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         self._fix, self._since_fix, self._untracked_in_a_row = fix, 0.0, 0
-        if slipped or not self._model.measured:  # odometry continues from here
+        if result.slipped or not self._model.measured:  # odometry continues from here
             self._reference = fix
-        return result
 
     def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
@@ -230,13 +260,10 @@ class Tracker:
         steady = min(seconds, STEADY_SECONDS) if self._model.measured else seconds
         return Prediction(se2.compose(pose, self._velocity.motion(steady)), np.diag(sigmas**-2.0), cost)
 
-    def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool = False) -> TrackingResult:
+    def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool, abrupt: bool) -> TrackingResult:
         prior = match.points.prediction.information
         covariance = np.asarray(inverse(match.points.information + prior))
         registered = np.asarray(inverse(match.registration.total_information + prior))
-        abrupt = status is TrackingStatus.TRACKED and slipped and match.poor
-        if status is TrackingStatus.TRACKED:
-            self._last_score = match.score
         return TrackingResult(
             match.points.pose,
             covariance,
@@ -244,6 +271,7 @@ class Tracker:
             registered,
             status,
             match.familiarity,
+            match.known,
             slipped,
             abrupt,
         )

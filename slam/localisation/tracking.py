@@ -30,9 +30,9 @@ class TrackingResult:
     registration  of the scan's features with the landmarks
     registered_covariance  (3, 3) of the registered pose, in the base's frame
     familiarity   0 to 1, see `ScanMatch`
+    known         number of points in space that was seen before
     slipped       True if odometry's motion since the reference contradicts the pose
-    abrupt        True if the scan fits worse than the one before and shows another view, or if it fits poorly and
-                  against odometry and the view changed recently: the robot may have been kidnapped
+    abrupt        True if the scan fits by chance only: it is then FAILED, and the robot may have been kidnapped
     """
 
     pose: se2.Pose
@@ -41,6 +41,7 @@ class TrackingResult:
     registered_covariance: Floats
     status: TrackingStatus
     familiarity: float
+    known: int
     slipped: bool
     abrupt: bool
 

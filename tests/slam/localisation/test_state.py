@@ -26,7 +26,7 @@ OPEN_ALONG_X = np.diag([1e-2, 1e6, 1e6])
 def tracked(information: Floats, status: TrackingStatus = TrackingStatus.TRACKED) -> TrackingResult:
     nothing = np.zeros((3, 3))
     registration = Registration(np.zeros(3), information, np.zeros(3), nothing, 1.0)
-    return TrackingResult(np.zeros(3), np.eye(3), registration, np.eye(3), status, 1.0, slipped=False, abrupt=False)
+    return TrackingResult(np.zeros(3), np.eye(3), registration, np.eye(3), status, 1.0, 0, slipped=False, abrupt=False)
 
 
 def test_every_status_can_be_reached_and_left() -> None:
