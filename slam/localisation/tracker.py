@@ -2,8 +2,9 @@
 
 Each scan is matched near the pose that odometry predicts from a reference, the last keyframe. Odometry may slip, stand
 still for a second and then catch up, jump, or count backwards, so the scan is also matched near the pose of a robot
-that moves on evenly, at the velocity of the scans before. If it fits nowhere, the pose follows odometry. After several
-scans in a row without a certain pose the robot counts as lost.
+that moves on evenly, at the velocity of the scans before. If it fits best there, its pose is tentative, and the next
+scan decides if odometry continues from there, has caught up, or keeps failing: these are equally probable. If a scan
+fits nowhere, the pose follows odometry. After several scans in a row without a certain pose the robot counts as lost.
 """
 
 from __future__ import annotations
@@ -62,7 +63,6 @@ class Tracker:
         self._fix: PoseFix | None = None
         self._reference: PoseFix | None = None  # from which odometry predicts
         self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
-        self._usual_cost = 0.0  # by which the usual prediction was worse than the tentative one
         self._since_fix: float | None = None  # seconds; None if no slip is possible
         self._clock, self._velocity = ScanClock(), VelocityFilter()
         self._untracked_in_a_row = 0
@@ -75,7 +75,7 @@ class Tracker:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
-        self._untracked_in_a_row, self._tentative, self._usual_cost = 0, None, 0.0
+        self._untracked_in_a_row, self._tentative = 0, None
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix in a part of the map that shows nothing yet."""
@@ -151,7 +151,7 @@ class Tracker:
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
         result = self._result(match, status, slipped=slipped, abrupt=abrupt)
-        self._update_fix(result, match, predictions[0], odometry)
+        self._update_fix(result, match.score, odometry)
         return result
 
     def _compare_views(self, view: View, *, suspicious: bool) -> bool:
@@ -212,26 +212,23 @@ class Tracker:
             return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = self._untracked_in_a_row + 1 >= MAX_UNTRACKED_SCANS and not self.view_changed
-        if slipped or (confirmed and match.poor and not agree_for_long):
+        if slipped or (confirmed and (match.poor or _ambiguous(match)) and not agree_for_long):
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirmed or contradicts
 
-    def _update_fix(self, result: TrackingResult, match: ScanMatch, usual: Prediction, odometry: se2.Pose) -> None:
+    def _update_fix(self, result: TrackingResult, score: float, odometry: se2.Pose) -> None:
         """Remember the pose of a scan as the fix or as tentative, as its result says."""
-        self._tentative, self._usual_cost = None, 0.0
+        self._tentative = None
         if result.status is TrackingStatus.NO_FEATURES:
             return
-        fix = PoseFix(match.points.pose, odometry)
+        fix = PoseFix(result.pose, odometry)
         self._untracked_in_a_row += 1
         if result.status is TrackingStatus.TENTATIVE:
             self._tentative = fix
-            self._usual_cost = (
-                min(other.cost for other in match.others if other.prediction is usual) - match.points.cost
-            )
         if result.status is not TrackingStatus.TRACKED:
             return
         assert self._fix is not None
-        self._last_score = match.score
+        self._last_score = score
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         self._fix, self._since_fix, self._untracked_in_a_row = fix, 0.0, 0
@@ -242,7 +239,7 @@ class Tracker:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
         assert self._reference is not None
-        usual = replace(self._by_odometry(self._reference, odometry), cost=self._usual_cost)
+        usual = self._by_odometry(self._reference, odometry)
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, SLIP_COST)
         if not self._model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
             slip = replace(slip, information=np.diag((PREDICTION_SIGMAS + MAX_VELOCITIES * interval) ** -2.0))
@@ -292,3 +289,8 @@ def _too_few_features(scan: ScanFeatures) -> bool:
 def _same_place(match: ScanMatch, other: PointMatch) -> bool:
     """Return True if a match near another prediction has led to the same place: both predictions hold then."""
     return bool(np.all(np.abs(se2.between(other.pose, match.points.pose)) < PREDICTION_SIGMAS))
+
+
+def _ambiguous(match: ScanMatch) -> bool:
+    """Return True if the scan fits about as well at another place."""
+    return any(other.cost < match.points.cost + SLIP_COST and not _same_place(match, other) for other in match.others)
