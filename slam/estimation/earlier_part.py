@@ -4,16 +4,22 @@ A scan that does not fit begins a new part of the map at once, but one scan is w
 the robot change the view as much as being carried does. So the state from before is kept, and tracks the next scans as
 well. In the right part of the map nearly each scan fits where odometry predicts it, elsewhere nearly none. The
 sequential test of Wald for two such probabilities p and 1 - p counts the scans that fit minus those that do not; it
-ends at a margin n with an error probability of about ((1 - p) / p)^n.
+is decided at a margin n with an error probability of about ((1 - p) / p)^n. Scans count at the distance of keyframes:
+those of a robot that stands repeat each other.
 """
 
 from __future__ import annotations
 
+import numpy as np
+
+from drivers import se2
+
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..matching.point_matcher import MIN_KNOWN_POINTS
+from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import ClosureMonitor
-from .scan_update import track, update_map
+from .scan_update import extend_trajectory, track
 from .slam_state import SlamState
 from .stage_timer import StageTimer
 
@@ -21,26 +27,39 @@ from .stage_timer import StageTimer
 # an error probability of 1e-4: of the scans of five recordings 95 to 99 % fit as odometry predicts, and of scans from
 # elsewhere in the same building 0 to 5 %.
 DECIDING_MARGIN = 3
+# Metres of driving after which the test ends: the map of the earlier part does not extend farther. People may surround
+# the robot for most of this way, so the test is not lost before. Origin: chosen, the reach of usual lidars indoors.
+MAX_TEST_DISTANCE = 10.0
 
 
 class EarlierPart:
     """State before a part of the map began, in which the robot may still be.
 
-    state    continued with the scans since then
+    state    with the poses of the scans since then; its map stays as it was, so that only this is tested
     monitor  of its recent loop closures
     """
 
     def __init__(self, state: SlamState, monitor: ClosureMonitor) -> None:
         self.state, self.monitor = state, monitor
-        self._balance = 0
+        self._balance, self._travelled = 0, 0.0  # metres
+        self._counted: se2.Pose | None = None  # odometry at the last scan that was counted
 
     def add(self, scan: ProcessedScan) -> TrackingResult:
-        """Track a scan in the earlier part, and map it there."""
+        """Track a scan in the earlier part."""
         tracking = track(self.state, scan, StageTimer())
-        update_map(self.state, scan, tracking, StageTimer())
+        extend_trajectory(self.state, scan.stamp, tracking)
         self.monitor.record(scan)
-        self._balance += _evidence(tracking)
+        self._count(_evidence(tracking), scan.odometry)
         return tracking
+
+    def _count(self, evidence: int, odometry: se2.Pose) -> None:
+        """Add the evidence of a scan if the robot has driven the distance of keyframes since the last one."""
+        travel = np.inf if self._counted is None else float(wheel_travel(se2.between(self._counted, odometry)))
+        if not evidence or travel < self.state.config.mapping.keyframe_distance:
+            return
+        self._travelled += 0.0 if self._counted is None else travel
+        self._balance = max(self._balance + evidence, -DECIDING_MARGIN)
+        self._counted = odometry
 
     @property
     def holds(self) -> bool:
@@ -49,8 +68,8 @@ class EarlierPart:
 
     @property
     def left(self) -> bool:
-        """True if the robot has left the part."""
-        return self._balance <= -DECIDING_MARGIN
+        """True if the robot is somewhere else by now, whether it was carried or not."""
+        return self._travelled > MAX_TEST_DISTANCE
 
 
 def _evidence(tracking: TrackingResult) -> int:

@@ -25,7 +25,6 @@ from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotio
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
 from ..matching.bias_correction import correct_range_bias
-from ..matching.line_matcher import Registration
 from ..matching.point_matcher import point_information
 from ..preprocessing.preprocessor import ProcessedScan
 from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, search_loop
@@ -91,14 +90,14 @@ def update_map(
     Returns the changes of the map; None if the scan did not become a keyframe.
     """
     update = None
-    if tracking.status is TrackingStatus.TRACKED and _moved_enough(state):
+    if tracking.status is TrackingStatus.TRACKED and _moved_enough(state, tracking.predicted.pose):
         state.pose = tracking.registration.pose
         familiar = _familiar_keyframe(state, tracking)
         if familiar is None:
             update = _add_keyframe(state, scan, tracking, timer)
         else:
             _pass_familiar_place(state, familiar, scan, tracking)
-    _extend_trajectory(state, scan.stamp, tracking)
+    extend_trajectory(state, scan.stamp, tracking)
     return update
 
 
@@ -110,9 +109,12 @@ def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
         state.local_map = state.mapper.local_map_at(predicted, RELOCALISED_RADIUS)
 
 
-def _moved_enough(state: SlamState) -> bool:
-    """Return True if the robot is far enough from the anchor for a new keyframe."""
-    motion, mapping = se2.between(state.anchor_pose, state.pose), state.config.mapping
+def _moved_enough(state: SlamState, predicted: se2.Pose) -> bool:
+    """Return True if the robot is far enough from the anchor for a new keyframe, by its predicted pose.
+
+    The scan's own pose would select the scans whose errors lead ahead, and odometry would seem to measure too little.
+    """
+    motion, mapping = se2.between(state.anchor_pose, predicted), state.config.mapping
     far = np.hypot(motion[0], motion[1]) > mapping.keyframe_distance or abs(motion[2]) > mapping.keyframe_turn
     return state.anchor is None or state.at_part_begin or bool(far)
 
@@ -148,7 +150,7 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     state.update_local_field()
 
 
-def _extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
+def extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
     """Append the pose of a tracked scan to the trajectory."""
     if state.anchor is None or state.at_part_begin or tracking.status is not TrackingStatus.TRACKED:
         return
@@ -174,7 +176,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     )
     timer.lap("association")
     begins_part = state.at_part_begin
-    motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking.registration)
+    motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking)
     point_motion = _point_motion(state, scan, tracking)
     observations = mapper.add_keyframe(
         state.pose,
@@ -236,19 +238,20 @@ def _covariance_of(information: Floats) -> Floats:
     return np.asarray(inverse(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)))
 
 
-def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, registration: Registration) -> KeyframeMotion:
+def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking: TrackingResult) -> KeyframeMotion:
     """Return odometry's motion since the anchor with its covariance, and update the odometry model.
 
-    The odometry model learns from the difference between odometry's motion and the registered one.
+    The odometry model learns from the difference between odometry's motion and the one that the scan shows.
     """
-    model = state.odometry_model
+    model, registration = state.odometry_model, tracking.registration
     measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
     covariance, correlated_drift = np.diag(UNMEASURED_MOTION_SIGMAS**2), np.zeros((2, 2))
     if state.kidnapped:
         state.kidnapped_keyframes.append(state.mapper.keyframe_count)
         motion = registered
     else:
-        model.add_motion(measured, registered, registration.total_information)
+        by_scan = se2.between(state.anchor_pose, tracking.scan_pose)
+        model.add_motion(measured, by_scan, registration.total_information)
         motion = model.correct(measured)
         covariance = model.covariance(motion)
         if state.slipped:  # by as much as registration says

@@ -266,6 +266,7 @@ class Tracker:
             covariance,
             match.registration,
             registered,
+            match.points.prediction,
             status,
             match.familiarity,
             match.known,

@@ -5,11 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+import numpy as np
+
 from drivers import se2
 
 from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse
 from ..matching.line_matcher import Registration
+from ..matching.point_matcher import Prediction, pose_error
 from ..odometry.velocity import VelocityFilter
+
+# Information of a pose that makes that of any scan invertible. Origin: numerical, far below that of a single point.
+CONDITIONING = 1e-6 * np.eye(3)
 
 
 class TrackingStatus(Enum):
@@ -29,6 +36,7 @@ class TrackingResult:
     covariance    (3, 3) of this pose in the map as it stands, in the base's frame
     registration  of the scan's features with the landmarks
     registered_covariance  (3, 3) of the registered pose, in the base's frame
+    predicted     pose from which both were found, with its information (3, 3)
     familiarity   0 to 1, see `ScanMatch`
     known         number of points in space that was seen before
     slipped       True if odometry's motion since the reference contradicts the pose
@@ -39,11 +47,23 @@ class TrackingResult:
     covariance: Floats
     registration: Registration
     registered_covariance: Floats
+    predicted: Prediction
     status: TrackingStatus
     familiarity: float
     known: int
     slipped: bool
     abrupt: bool
+
+    @property
+    def scan_pose(self) -> se2.Pose:
+        """Registered pose without the share of the prediction, which its information must determine.
+
+        With the information M of the scan and P of the prediction p, the registered pose x fulfils
+        M (x - s) + P (x - p) = 0, so that the scan alone gives s = x + M^-1 P (x - p).
+        """
+        pose, prediction = self.registration.pose, self.predicted
+        pull = prediction.information @ pose_error(prediction.pose, pose)
+        return se2.compose(pose, inverse(self.registration.total_information + CONDITIONING) @ pull)
 
     def motion_since(self, before: se2.Pose | None) -> se2.Pose | None:
         """Return the motion from the pose of the scan `before`; None if one of the scans was not matched."""

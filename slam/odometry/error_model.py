@@ -33,6 +33,9 @@ PRIOR_SAMPLES = 10
 # in radians per metre. Origin: chosen, wheels within 3 % of their nominal size and distance, that differ by 0.5 % at a
 # distance of half a metre.
 SYSTEMATIC_SIGMAS = np.array([0.03, 0.05, 0.01])
+# Variance before any driving of the errors of single motions, relative to their length or turn, or radians per metre
+# squared. Origin: chosen, a centimetre or a degree in a motion of a decimetre or ten degrees.
+SPREAD = 0.1**2
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
 MIN_VARIANCE_RATE = 1e-8
@@ -59,6 +62,10 @@ PARABOLA_VARIANCE = 9.0 / 112.0
 NORMAL_MEDIAN = 0.4549
 # Median of the sum of two squared standard normal variables. Origin: definition, chi-square, 2 dof.
 PLANE_MEDIAN = 1.3863
+# Relative standard errors of the medians of these squares, times the root of their number: 1 / (2 f(m) m) with the
+# median m and the density f. Origin: definition, chi-square, 1 and 2 dof.
+NORMAL_MEDIAN_ERROR = 2.33
+PLANE_MEDIAN_ERROR = 1.44
 
 
 class OdometryModel:
@@ -80,7 +87,7 @@ class OdometryModel:
         self._config = config
         self._floors = np.array([config.translation_floor, config.rotation_floor])
         self._initial_rates = np.array([config.translation_error**2, config.rotation_walk**2])
-        self._samples: Floats = np.zeros((0, 6))
+        self._samples: Floats = np.zeros((0, 8))
         self._rates = self._initial_rates
         self._length_factor = self._turn_factor = 1.0
         self._veer = 0.0  # radians per metre
@@ -103,11 +110,14 @@ class OdometryModel:
 
     @property
     def samples(self) -> Floats:
-        """(n, 6) motions as measured by odometry and as registered, from which the model is estimated."""
+        """(n, 8) motions as measured by odometry and as registered, from which the model is estimated.
+
+        With the variances of the registered ones: of the position in one direction (square metres), and of the heading.
+        """
         return self._samples
 
     def add_samples(self, samples: Floats) -> None:
-        """Add `samples` (n, 6), e.g. of a saved model, and estimate the model again."""
+        """Add `samples` (n, 8), e.g. of a saved model, and estimate the model again."""
         self._samples = np.concatenate([self._samples, samples])[-MAX_MOTION_SAMPLES:]
         self._estimate()
 
@@ -120,25 +130,27 @@ class OdometryModel:
         if not self._config.learn or wheel_travel(measured) < MIN_MOTION_TRAVEL:
             return
         if weakest_direction(registered, information, MAX_LEARNING_SIGMA) is None:
-            self.add_samples(np.concatenate([measured, registered])[None])
+            variances = np.asarray(inverse(information)).diagonal()
+            of_position = 0.5 * (variances[0] + variances[1])
+            self.add_samples(np.array([[*measured, *registered, of_position, variances[2]]]))
 
     def _estimate(self) -> None:
-        length, veer, inverse_turn = _systematic_errors(self._samples)
+        length, veer, turn = _systematic_errors(self._samples)
         self._length_factor, self._veer = 1.0 + length[0], veer[0]
-        self._turn_factor = 1.0 / min(max(1.0 + inverse_turn[0], 1 / MAX_TURN_FACTOR), MAX_TURN_FACTOR)
-        self._systematic_variances = np.array([length[1], inverse_turn[1], veer[1]])
+        self._turn_factor = min(max(1.0 + turn[0], 1 / MAX_TURN_FACTOR), MAX_TURN_FACTOR)
+        self._systematic_variances = np.array([length[1], turn[1], veer[1]])
         self._estimate_rates(*self._latest_samples())
 
-    def _latest_samples(self) -> tuple[Floats, Floats]:
-        """Return the latest motions as measured (n, 3) and as registered (n, 3), for the random errors."""
+    def _latest_samples(self) -> tuple[Floats, Floats, Floats]:
+        """Return the latest motions as measured (n, 3) and as registered (n, 3), with the variances (n, 2) of these."""
         latest = self._samples[-RANDOM_ERROR_SAMPLES:]
-        return latest[:, :3], latest[:, 3:]
+        return latest[:, :3], latest[:, 3:6], latest[:, 6:]
 
-    def _estimate_rates(self, measured: Floats, registered: Floats) -> None:
-        """Estimate the variances of the random errors that remain after correction."""
+    def _estimate_rates(self, measured: Floats, registered: Floats, variances: Floats) -> None:
+        """Estimate the variances of the random errors that remain after correction, without those of registration."""
         observed = np.full(2, MIN_VARIANCE_RATE)
         if len(measured):
-            rates = _random_rates(self.correct(measured), registered, wheel_travel(measured))
+            rates = _random_rates(self.correct(measured), registered, variances, wheel_travel(measured))
             observed = np.maximum(rates, MIN_VARIANCE_RATE)
         weight = len(measured) / (len(measured) + PRIOR_SAMPLES)
         self._rates = np.maximum(self._initial_rates, MIN_VARIANCE_RATE) ** (1 - weight) * observed**weight
@@ -221,55 +233,65 @@ class OdometryModel:
 
 @compiled
 def _systematic_errors(samples):  # type: ignore[no-untyped-def]
-    """Return mean and variance of the errors of length, of veering and of the inverse factor of turning.
+    """Return mean and variance of the errors of length, of veering and of turning.
 
-    samples  (n, 6) motions as measured by odometry and as registered
+    samples  (n, 8) motions as measured by odometry and as registered, with variances
     """
     count = len(samples)
     length, veer, straight = np.empty(count), np.empty(count), 0
     for k in range(count):
         ahead = samples[k, 0]
-        # Selected by the registered turn: measured turns are noisy, and of those selected by noise most are too large.
-        if abs(ahead) > MIN_MOTION_TRAVEL and abs(samples[k, 5]) <= MAX_STRAIGHT_TURN:
+        if abs(ahead) > MIN_MOTION_TRAVEL and abs(samples[k, 2]) <= MAX_STRAIGHT_TURN:
             length[straight] = samples[k, 3] / ahead - 1.0
             veer[straight] = wrap_angle(samples[k, 5] - samples[k, 2]) / ahead
             straight += 1
     of_length = _posterior(length[:straight], SYSTEMATIC_SIGMAS[0])
     of_veer = _posterior(veer[:straight], SYSTEMATIC_SIGMAS[2])
-    inverse_turn, turning = np.empty(count), 0
+    turn, turning = np.empty(count), 0
     for k in range(count):
-        if abs(samples[k, 5]) > MAX_STRAIGHT_TURN:
-            without_veer = wrap_angle(samples[k, 5] - of_veer[0] * samples[k, 0])
-            inverse_turn[turning] = samples[k, 2] / without_veer - 1.0
+        if abs(samples[k, 2]) > MAX_STRAIGHT_TURN:
+            turn[turning] = wrap_angle(samples[k, 5] - of_veer[0] * samples[k, 0]) / samples[k, 2] - 1.0
             turning += 1
-    return of_length, of_veer, _posterior(inverse_turn[:turning], SYSTEMATIC_SIGMAS[1])
+    return of_length, of_veer, _posterior(turn[:turning], SYSTEMATIC_SIGMAS[1])
 
 
 @compiled
-def _random_rates(corrected, registered, travel):  # type: ignore[no-untyped-def]
+def _random_rates(corrected, registered, variances, travel):  # type: ignore[no-untyped-def]
     """Return (2,) the variances of position per square metre and of heading per metre, from n motions.
+
+    They are at least the standard errors of their estimates: less cannot be told from the noise of registration.
 
     corrected   (n, 3) as measured, without their systematic errors
     registered  (n, 3)
+    variances   (n, 2) of the registered motions: of the position in one direction, and of the heading
     travel      (n,) metres of wheel travel
     """
-    of_position, of_heading = np.empty(len(travel)), np.empty(len(travel))
-    for k in range(len(travel)):
+    count = len(travel)
+    position, heading = np.empty(count), np.empty(count)
+    of_position, of_heading = np.empty(count), np.empty(count)  # without the share of registration
+    for k in range(count):
         x, y = registered[k, 0] - corrected[k, 0], registered[k, 1] - corrected[k, 1]
-        of_position[k] = (x * x + y * y) / (PLANE_MEDIAN * travel[k] ** 2)
-        of_heading[k] = wrap_angle(registered[k, 2] - corrected[k, 2]) ** 2 / NORMAL_MEDIAN / travel[k]
-    return np.array([np.median(of_position), np.median(of_heading)])
+        position[k] = (x * x + y * y) / (PLANE_MEDIAN * travel[k] ** 2)
+        heading[k] = wrap_angle(registered[k, 2] - corrected[k, 2]) ** 2 / (NORMAL_MEDIAN * travel[k])
+        of_position[k] = position[k] - variances[k, 0] / travel[k] ** 2
+        of_heading[k] = heading[k] - variances[k, 1] / travel[k]
+    least_position = PLANE_MEDIAN_ERROR / math.sqrt(count) * np.median(position)
+    least_heading = NORMAL_MEDIAN_ERROR / math.sqrt(count) * np.median(heading)
+    return np.array([max(np.median(of_position), least_position), max(np.median(of_heading), least_heading)])
 
 
 @compiled
 def _posterior(values, sigma):  # type: ignore[no-untyped-def]
     """Return mean and variance of an error, from samples (n,) and the standard deviation `sigma` before them.
 
-    The samples count by their median, whose variance is pi / 2 times that of a mean.
+    The samples count by their median, whose variance is pi / 2 times that of a mean. The spread of few samples says
+    little about their variance: before any driving it is SPREAD, which counts for PRIOR_SAMPLES.
     """
-    if not len(values):
+    count = len(values)
+    if not count:
         return 0.0, sigma**2
     median = np.median(values)
     spread = np.median((values - median) ** 2) / NORMAL_MEDIAN
-    share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / len(values))
+    spread = (PRIOR_SAMPLES * SPREAD + count * spread) / (PRIOR_SAMPLES + count)
+    share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / count)
     return share * median, (1.0 - share) * sigma**2

@@ -45,8 +45,8 @@ class PredictedMotionModel(OdometryModel):
         self._floors, self._systematic_variances = INITIAL_FLOORS, np.zeros(3)
 
     def _estimate(self) -> None:
-        measured, registered = self._latest_samples()
-        self._estimate_rates(measured, registered)
+        measured, registered, variances = self._latest_samples()
+        self._estimate_rates(measured, registered, variances)
         error = se2.between(measured, registered)
         squared = np.array(
             [

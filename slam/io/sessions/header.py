@@ -24,7 +24,7 @@ from .agreement import AgreementRecord, agreement_record
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
 
 FORMAT = "wclm-slam session"
-SESSION_VERSION = 6
+SESSION_VERSION = 7
 
 
 class Recording(Record):

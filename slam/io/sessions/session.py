@@ -193,7 +193,7 @@ def _read_slam_state(
             mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, views, unconfirmed)
             return SlamState.restored(
                 config,
-                np.array(header.sensor_models.odometry_samples).reshape(-1, 6),
+                np.array(header.sensor_models.odometry_samples).reshape(-1, 8),
                 mapper,
                 scans.trajectory,
                 scans.keyframe_stamps,

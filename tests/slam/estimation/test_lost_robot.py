@@ -52,6 +52,22 @@ def blinded(messages: Iterator[Message], begin: float, end: float) -> Iterator[M
         yield message
 
 
+def surrounded(messages: Iterator[Message], begin: float, end: float) -> Iterator[Message]:
+    """Yield the messages with scans that show people all around the robot between two times after the start, seconds.
+
+    Each stands somewhere else in each second, half a metre to two metres away.
+    """
+    start: float | None = None
+    for message in messages:
+        start = message.stamp if start is None else start
+        elapsed = message.stamp - start
+        if isinstance(message, Scan) and begin <= elapsed < end:
+            distances = np.random.default_rng(int(elapsed)).uniform(0.5, 2.0, 12)
+            person = (12 * np.arange(len(message.ranges))) // len(message.ranges)
+            message = replace(message, ranges=np.fmin(message.ranges, distances[person]))
+        yield message
+
+
 @dataclass
 class Run:
     """Result of a run, position errors of its keyframes in metres, and its localisation states."""
@@ -112,6 +128,16 @@ def test_a_robot_carried_back_to_its_start_is_relocalised() -> None:
     assert outcome.errors.max() < 0.05
     assert outcome.states in ([], ["LOST", "OK"])
     assert outcome.result.stamps[-1] > 50.0
+
+
+def test_a_robot_that_people_surround_stays_in_its_part_of_the_map() -> None:
+    outcome = run(surrounded(office(40.0), 15.0, 18.0))
+    assert outcome.errors.max() < 0.05
+    assert outcome.states == ["LOST", "OK"]
+    health = outcome.result.summary["health"]
+    assert isinstance(health, dict)
+    assert health["lost"] < 80  # of 400 scans
+    assert "parts" not in outcome.result.summary
 
 
 def test_ten_seconds_without_returns_are_bridged() -> None:

@@ -18,6 +18,7 @@ from slam.localisation.state import (
 )
 from slam.localisation.tracking import TrackingResult, TrackingStatus
 from slam.matching.line_matcher import Registration
+from slam.matching.point_matcher import Prediction
 
 CERTAIN = np.diag([1e6, 1e6, 1e6])
 OPEN_ALONG_X = np.diag([1e-2, 1e6, 1e6])
@@ -26,7 +27,10 @@ OPEN_ALONG_X = np.diag([1e-2, 1e6, 1e6])
 def tracked(information: Floats, status: TrackingStatus = TrackingStatus.TRACKED) -> TrackingResult:
     nothing = np.zeros((3, 3))
     registration = Registration(np.zeros(3), information, np.zeros(3), nothing, 1.0)
-    return TrackingResult(np.zeros(3), np.eye(3), registration, np.eye(3), status, 1.0, 0, slipped=False, abrupt=False)
+    predicted = Prediction(np.zeros(3), np.eye(3))
+    return TrackingResult(
+        np.zeros(3), np.eye(3), registration, np.eye(3), predicted, status, 1.0, 0, slipped=False, abrupt=False
+    )
 
 
 def test_every_status_can_be_reached_and_left() -> None:
