@@ -65,7 +65,7 @@ PLANE_MEDIAN = 1.3863
 # Relative standard errors of the medians of these squares, times the root of their number: 1 / (2 f(m) m) with the
 # median m and the density f. Origin: definition, chi-square, 1 and 2 dof.
 NORMAL_MEDIAN_ERROR = 2.33
-PLANE_MEDIAN_ERROR = 1.44
+PLANE_MEDIAN_ERROR = 1.44  # Origin: as NORMAL_MEDIAN_ERROR.
 
 
 class OdometryModel:
