@@ -65,6 +65,25 @@ def test_systematic_errors_are_learned_and_corrected() -> None:
     np.testing.assert_array_equal(restored.systematic_errors, model.systematic_errors)
 
 
+def test_the_first_motions_say_little_about_systematic_errors() -> None:
+    model = OdometryModel(OdometryConfig())
+    for _ in range(2):
+        measured = np.array([0.3, 0.0, 0.0])
+        model.add_motion(measured, np.array([0.33, 0.0, 0.0]), DETERMINED)
+    assert 1.0 < model.systematic_errors[0] < 1.02  # both motions seem to be a tenth too short
+
+
+def test_the_noise_of_registration_is_not_that_of_odometry() -> None:
+    random, sigma = np.random.default_rng(0), np.array([0.02, 0.02, 0.01])
+    noisy, exact = OdometryModel(OdometryConfig()), OdometryModel(OdometryConfig())
+    for _ in range(400):
+        measured = np.array([random.uniform(0.2, 0.4), 0.0, random.uniform(-0.2, 0.2)])
+        actual = se2.compose(measured, random.normal(size=3) * 0.05 * measured[0])
+        exact.add_motion(measured, actual, DETERMINED)
+        noisy.add_motion(measured, se2.compose(actual, random.normal(size=3) * sigma), np.diag(sigma**-2.0))
+    np.testing.assert_allclose(noisy.deviations, exact.deviations, rtol=0.3)
+
+
 def test_drift_is_correlated_only_in_undetermined_directions() -> None:
     model, step = OdometryModel(OdometryConfig(translation_error=0.1)), np.array([0.3, 0.0, 0.0])
     assert not model.correlated_drift(step, DETERMINED).any()
