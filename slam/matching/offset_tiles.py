@@ -33,6 +33,9 @@ NO_OFFSET = NOWHERE << 16 | NOWHERE
 # of tiles of 8 cells, and take a quarter less memory than tiles of 32 cells.
 TILE_BITS = 4
 TILE = 1 << TILE_BITS  # Origin: definition.
+# Factor on the number of tiles for which there is room, if that is used up. Origin: chosen, a field grows by some per
+# cent a keyframe, and has some megabytes.
+GROWTH = 1.25
 
 
 @dataclass(slots=True, eq=False)
@@ -62,7 +65,7 @@ class OffsetTiles:
     def grow(self, count: int) -> None:
         """Make room for `count` tiles in all."""
         if count > len(self.tiles):
-            tiles = np.empty((max(count, 2 * self.count), TILE, TILE), dtype=np.int32)
+            tiles = np.empty((max(count, int(GROWTH * self.count)), TILE, TILE), dtype=np.int32)
             tiles[: self.count], tiles[self.count :] = self.tiles[: self.count], NO_OFFSET
             self.tiles = tiles
         self.count = count

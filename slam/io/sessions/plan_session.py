@@ -21,7 +21,7 @@ from ...matching.line_matcher import ScanFeatures
 from ...matching.scan_points import ScanPoints, rounded
 from ...odometry.history import OdometryHistory
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
-from .session import StoredSession
+from ..stored_session import StoredSession
 
 END = -1000.0
 """Seconds at which the session ends: before any recording, and so long before that odometry does not continue it."""
