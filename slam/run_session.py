@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .config import Config
 from .estimation.journal import Journal
 from .estimation.slam_state import SlamState
+from .io.stored_session import StoredSession
 from .preprocessing.preprocessor import Preprocessor
 from .run_snapshot import RunSnapshot
 from .run_statistics import RunStatistics
-
-if TYPE_CHECKING:
-    from .io.sessions import StoredSession
 
 
 @dataclass(slots=True, eq=False)
@@ -51,8 +49,6 @@ class RunSession:
         return RunSnapshot(session, summary, after)
 
     def _stored(self, state: SlamState) -> StoredSession:
-        from .io.sessions import StoredSession  # only here: a recording is read without the libraries of tables
-
         earlier, journal = self.earlier, self.journal
         return StoredSession(
             config=self.config,

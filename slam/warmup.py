@@ -38,7 +38,7 @@ from .mapping.wall_removal import FreeSpaceEvidence
 from .matching.distance_field import DistanceField
 from .matching.line_matcher import ScanFeatures
 from .matching.point_matcher import Prediction, match_points
-from .matching.scan_points import ScanPoints, rounded
+from .matching.scan_points import ScanPoints
 from .odometry.error_model import OdometryModel
 from .pipeline import Slam
 from .preprocessing.extraction import is_compiled
@@ -123,7 +123,7 @@ def _seen_features(scan: Scan, pose: se2.Pose) -> ProcessedScan:
     corners = CornerPoints(
         se2.transform(se2.inverse(pose), positions), np.tile(1e-4 * np.eye(2), (4, 1, 1)), pairs, frames[pairs, 2]
     )
-    points = rounded(np.column_stack([scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)]))
+    points = np.column_stack([scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)])
     return ProcessedScan(scan.stamp, pose, ScanFeatures(segments, corners, ScanPoints(points, points[::9])), 0.01)
 
 

@@ -23,9 +23,9 @@ CONFINED = {
 """Libraries and the one folder that may import them."""
 
 LAYERS = (
-    "errors", "extras", "formatting", "config", "geometry", "graph", "odometry", "mapping", "matching", "preprocessing",
-    "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics", "io",
-    "run_snapshot", "run_start", "run_session", "publisher", "scan_report", "localisation_report", "run_end",
+    "errors", "extras", "formatting", "memory", "config", "geometry", "graph", "odometry", "mapping", "matching",
+    "preprocessing", "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics",
+    "io", "run_snapshot", "run_start", "run_session", "publisher", "scan_report", "localisation_report", "run_end",
     "pose_extrapolation", "pipeline", "optimisation", "warmup", "offline", "evaluation",
     "visualisation", "mapped_recording", "ros", "cli",
 )  # fmt: skip

@@ -22,11 +22,11 @@ from ..events import Event, Finished, Notice, Sink
 from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
+from ..memory import return_large_blocks
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
-from .memory import return_large_blocks
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
 from .run_summary import RunResult

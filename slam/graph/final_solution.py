@@ -29,6 +29,7 @@ def solve_with_range_bias(graph: FactorGraph, *, correlate: bool = False) -> Non
         divisors = _divisors_of_information(graph, factors)
         factors, arrays = with_correlated_errors(factors, divisors), arrays.with_divided_information(divisors)
     values = arrays.values_of(solver.estimate())
+    solver.dismiss_isam()  # the batch solution takes its place, and needs memory too
     solver.range_bias = estimate_range_bias(arrays, values, solver.range_bias) or solver.range_bias
     _solve_at_once(graph, factors, arrays.at_bias(solver.range_bias.metres), values)
 

@@ -87,14 +87,19 @@ def build_submap(poses: Floats, points: Sequence[Floats], half_width: float) -> 
     """Build a submap from keyframes at `poses` (k, 3) in its frame, each with points (p, 4) in its own."""
     field = DistanceField.empty(np.zeros(2), half_width)
     field.insert_scans(poses, points)
-    moved = [_transform(pose, own) for pose, own in zip(poses, points, strict=True)]
-    return Submap(np.concatenate(moved), field)
+    return Submap(_moved(poses, points), field)
 
 
-def _transform(pose: se2.Pose, points: Floats) -> Floats:
-    """Transform points (p, 4) with normals."""
-    turn = np.array([0.0, 0.0, pose[2]])
-    return np.column_stack([se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:])])
+def _moved(poses: Floats, scans: Sequence[Floats]) -> Floats:
+    """Return the points (p, 4) with normals of scans in the frames of their poses (k, 3), as one array (n, 4)."""
+    lengths, points = [len(scan) for scan in scans], np.concatenate(scans)
+    c, s = (np.repeat([f(heading) for heading in poses[:, 2].tolist()], lengths) for f in (math.cos, math.sin))
+    x, y, normal_x, normal_y = points.T
+    result = np.empty_like(points)
+    result[:, 0] = np.repeat(poses[:, 0], lengths) + c * x - s * y
+    result[:, 1] = np.repeat(poses[:, 1], lengths) + s * x + c * y
+    result[:, 2], result[:, 3] = c * normal_x - s * normal_y, s * normal_x + c * normal_y
+    return result
 
 
 def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, reach: float, turn: float) -> list[SubmapMatch]:

@@ -42,7 +42,7 @@ class OffsetTiles:
     tile_of  (g, t, t) number of the tile of each grid; 0, a tile without points, where nothing was entered
     tiles    (n, TILE, TILE) offset from the nearest point to the cell's centre in units of OFFSET_UNIT, NO_OFFSET if
              there is none within MAX_DISTANCE: the upper 16 bits along x, the lower 16 along y, both signed
-    count    number of tiles in use; the others are empty
+    count    number of tiles in use; the others have any values
     """
 
     tile_of: NDArray[np.int32]
@@ -62,9 +62,10 @@ class OffsetTiles:
     def grow(self, count: int) -> None:
         """Make room for `count` tiles in all."""
         if count > len(self.tiles):
-            tiles = np.empty((max(count, 2 * self.count), TILE, TILE), dtype=np.int32)
-            tiles[: self.count], tiles[self.count :] = self.tiles[: self.count], NO_OFFSET
+            tiles = np.empty((max(count, 2 * self.count), TILE, TILE), dtype=np.int32)  # no memory until it is written
+            tiles[: self.count] = self.tiles[: self.count]
             self.tiles = tiles
+        self.tiles[self.count : count] = NO_OFFSET
         self.count = count
 
 
@@ -85,9 +86,9 @@ def number_tiles(tile_of, count, grid, row, column):  # type: ignore[no-untyped-
 
 @inlined
 def offset_at(tile_of, tiles, grid, row, column):  # type: ignore[no-untyped-def]
-    """Return the stored offset of a cell."""
-    tile = tile_of[grid, row >> TILE_BITS, column >> TILE_BITS]
-    return tiles[tile, row & (TILE - 1), column & (TILE - 1)]
+    """Return the stored offset of a cell. Unsigned indices take half the time: nothing tests if they are negative."""
+    tile = tile_of[np.uintp(grid), np.uintp(row >> TILE_BITS), np.uintp(column >> TILE_BITS)]
+    return tiles[np.uintp(tile), np.uintp(row & (TILE - 1)), np.uintp(column & (TILE - 1))]
 
 
 @inlined

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 
@@ -19,6 +19,8 @@ MAX_SCAN_POINTS = 400
 # Metres: resolution of points, a small part of any lidar's noise. Sessions store them as multiples of it, so that a run
 # that is continued from a session equals one that was not interrupted. Origin: definition.
 POINT_UNIT = 1e-3
+# Largest coordinate in these units. Origin: definition, 2 km, beyond the range of any lidar.
+MAX_POINT_UNITS = 2e6
 
 # Metres between a point and the line of a segment on which it lies.
 # Origin: chosen, as for the points that count as clutter; not measured.
@@ -36,22 +38,38 @@ MIN_NORMAL_POINTS = 4
 MAX_FLATNESS = 0.02
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class ScanPoints:
-    """Points of one scan in the base's frame: `all` (p, 2), and `clutter` (q, 2), those on no extracted line."""
+    """Points of one scan in the base's frame: all of them, and the clutter, those on no extracted line.
 
-    all: Floats
-    clutter: Floats
+    They are multiples of POINT_UNIT, and stored as such: all scans of a drive are kept, and points are most of a scan.
+    """
+
+    __slots__ = ("_all", "_clutter")
+
+    def __init__(self, all_points: Floats, clutter: Floats) -> None:
+        """Round points (p, 2) and (q, 2), metres. Coordinates beyond MAX_POINT_UNITS are clipped."""
+        self._all, self._clutter = _in_units(all_points), _in_units(clutter)
+
+    @property
+    def all(self) -> Floats:
+        """All points (p, 2), metres."""
+        return np.asarray(POINT_UNIT * self._all, dtype=np.float64)
+
+    @property
+    def clutter(self) -> Floats:
+        """Points (q, 2) on no extracted line, metres."""
+        return np.asarray(POINT_UNIT * self._clutter, dtype=np.float64)
+
+
+def _in_units(points: Floats) -> NDArray[np.int32]:
+    """Return points as numbers of POINT_UNIT."""
+    counts = np.rint(points / POINT_UNIT)
+    return np.clip(counts, -MAX_POINT_UNITS, MAX_POINT_UNITS).astype(np.int32)
 
 
 def subsample(points: Floats, max_count: int) -> Floats:
     """Return every k-th point, with the smallest k that leaves at most `max_count`."""
     return points[:: max(1, -(-len(points) // max_count))]
-
-
-def rounded(points: Floats) -> Floats:
-    """Return points as multiples of POINT_UNIT."""
-    return np.asarray(POINT_UNIT * np.rint(points / POINT_UNIT))
 
 
 def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats:

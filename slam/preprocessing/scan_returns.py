@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled, inlined
 
-from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, rounded, subsample
+from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, subsample
 from .deskew import DeskewedScan
 
 if TYPE_CHECKING:
@@ -26,15 +26,15 @@ CONTINUATION = 3.0
 def scan_returns(scan: DeskewedScan, lines: Lines, mount: se2.Pose) -> ScanPoints:
     """Return the points of a scan in the base's frame: all valid returns, and those on no line or continuation of one.
 
-    `mount` is the pose of the lidar, in whose frame the `lines` of the scan are. Points are multiples of POINT_UNIT; of
-    many points, every k-th is returned, see MAX_SCAN_POINTS. The last returns from a corridor's walls move with the
-    robot, so they must not count as loose points.
+    `mount` is the pose of the lidar, in whose frame the `lines` of the scan are. Of many points, every k-th is
+    returned, see MAX_SCAN_POINTS. The last returns from a corridor's walls move with the robot, so they must not count
+    as loose points.
     """
     # copies, as read-only arrays and columns of a table would be compiled for separately
     ranges, bearings = scan.ranges.copy(), scan.bearings.copy()
     first, last, start, end = (array.copy() for array in (lines.first, lines.last, lines.start, lines.end))
     returns = _returns(ranges, bearings, first, last, start, end, tuple(mount.tolist()))
-    return ScanPoints(*(rounded(subsample(points, MAX_SCAN_POINTS)) for points in returns))
+    return ScanPoints(*(subsample(points, MAX_SCAN_POINTS) for points in returns))
 
 
 @compiled

@@ -89,6 +89,7 @@ class FullMapMatcher:
         self._features = correct_range_bias_of_scans([scan.features for scan in history.scans], range_bias)
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._fields: dict[tuple[int, int, int, int], DistanceField] = {}  # the one used last is the last
+        self._points: dict[int, Floats] = {}  # of the keyframes in fields
         self._reach = [LOCAL_MAP_MARGIN + scan.features.segments.reach() for scan in history.scans]
         self._last_keyframe = (np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1).tolist()
         clock = ScanClock()
@@ -166,11 +167,15 @@ class FullMapMatcher:
         near = near[(near % 2 == parity) & (self._groups[near] == group)]
         near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
         field = DistanceField.empty(centre, FIELD_HALF_WIDTH)
-        scans = [self._history.scans[self._history.keyframes[keyframe]].features for keyframe in near.tolist()]
-        field.insert_scans(
-            self._poses[near], [surface_points(scan.points.all, scan.segments, POINT_SPACING) for scan in scans]
-        )
+        field.insert_scans(self._poses[near], [self._points_of(keyframe) for keyframe in near.tolist()])
         return field
+
+    def _points_of(self, keyframe: int) -> Floats:
+        """Return the points (p, 4) of a keyframe with their normals: it is in several fields."""
+        if keyframe not in self._points:
+            scan = self._history.scans[self._history.keyframes[keyframe]].features
+            self._points[keyframe] = surface_points(scan.points.all, scan.segments, POINT_SPACING)
+        return self._points[keyframe]
 
 
 def _from_neighbours(

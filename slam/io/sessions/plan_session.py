@@ -18,10 +18,10 @@ from ...mapping.plan_map import PlanMap, PlanView
 from ...mapping.plan_mapper import plan_mapper
 from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...matching.line_matcher import ScanFeatures
-from ...matching.scan_points import ScanPoints, rounded
+from ...matching.scan_points import ScanPoints
 from ...odometry.history import OdometryHistory
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
-from .session import StoredSession
+from ..stored_session import StoredSession
 
 END = -1000.0
 """Seconds at which the session ends: before any recording, and so long before that odometry does not continue it."""
@@ -53,7 +53,7 @@ def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
 
 def _scan(stamp: float, view: PlanView) -> ProcessedScan:
     """Return a view as a scan; odometry has its pose in the plan."""
-    points = ScanPoints(rounded(view.points), np.zeros((0, 2)))
+    points = ScanPoints(view.points, np.zeros((0, 2)))
     return ProcessedScan(stamp, view.pose, ScanFeatures(view.segments, NO_FEATURES.corners, points))
 
 

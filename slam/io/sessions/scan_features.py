@@ -16,13 +16,10 @@ from numpy.typing import NDArray
 from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
 from ...matching.line_matcher import ScanFeatures
-from ...matching.scan_points import POINT_UNIT, ScanPoints
+from ...matching.scan_points import MAX_POINT_UNITS, POINT_UNIT, ScanPoints
 from .tables import Ragged, TableReader, are_covariances, to_ragged
 
 Number = TypeVar("Number", bound=np.generic)
-
-MAX_POINT_UNITS = 2e6
-"""POINT_UNITs: 2 km, beyond the range of any lidar; larger coordinates are clipped."""
 SEGMENT_COLUMNS = (
     *("x", "y", "heading", "half_length", "offset_offset", "offset_heading", "heading_heading"),
     *("offset_bias_slope", "heading_bias_slope"),

@@ -21,10 +21,12 @@ from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
 from .scan_features import feature_columns, read_features, split_rows
-from .tables import Ragged, TableReader, to_ragged, write_table
+from .tables import Column, Ragged, TableReader, to_ragged, write_row_groups, write_table
 
 EXACT_KEYFRAMES = MAX_RECENT_SEGMENTS
 """Last keyframes whose features are stored exactly: all that are used online."""
+GROUP_ROWS = 1000
+"""Scans of which the features are written at once: some megabytes."""
 UPPER_TRIANGLE = np.triu_indices(3)
 POSE_ENTRIES = ("xx", "xy", "xh", "yy", "yh", "hh")
 """Names of the upper triangle's entries of a matrix of (x, y, heading)."""
@@ -47,12 +49,28 @@ class ScanRecords:
 
 def write_scans(file: Path, records: ScanRecords) -> None:
     """Write the table. Raises OSError."""
+    count = len(records.scans)
+    values = _columns_of_values(records)
+    ends = [*range(GROUP_ROWS, count, GROUP_ROWS), count]
+    groups = (range(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
+    write_row_groups(
+        file,
+        (
+            {name: column[rows.start : rows.stop] for name, column in values.items()}
+            | dict[str, Column](_columns_of_lists(records, rows))
+            for rows in groups
+        ),
+    )
+
+
+def _columns_of_values(records: ScanRecords) -> dict[str, NDArray[np.generic]]:
+    """Return the columns with one value for each scan."""
     scans, count = records.scans, len(records.scans)
-    stamps, odometry, has_features = scans.stamps, scans.odometry, scans.has_features
+    stamps, odometry = scans.stamps, scans.odometry
     tracked_stamps, anchors, relative, informations = records.trajectory.relative_poses()
     tracked = _rows_of(tracked_stamps, stamps)
     keyframes = _rows_of(np.array(records.keyframe_stamps), stamps)
-    columns: dict[str, NDArray[np.generic] | Ragged] = {"stamp": stamps}
+    columns: dict[str, NDArray[np.generic]] = {"stamp": stamps}
     columns |= {f"odometry_{name}": odometry[:, k] for k, name in enumerate(("x", "y", "heading"))}
     columns["sweep_travel"] = scans.travel
     columns["keyframe"] = _scatter(keyframes, np.arange(len(keyframes)), count, -1).astype(np.int32)
@@ -62,16 +80,23 @@ def write_scans(file: Path, records: ScanRecords) -> None:
     upper = informations[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
     for k, name in enumerate(POSE_ENTRIES):
         columns[f"information_{name}"] = _scatter(tracked, upper[:, k], count, 0.0)
-    columns["has_features"] = has_features
-    with_features = np.flatnonzero(has_features)
-    features = feature_columns([scans.features(row) for row in with_features.tolist()], exact=False)
-    columns |= {name: _spread(column, with_features, count) for name, column in features.items()}
+    return columns | {"has_features": scans.has_features}
+
+
+def _columns_of_lists(records: ScanRecords, rows: range) -> dict[str, Ragged]:
+    """Return the columns with any number of values for each scan, of the scans `rows`."""
+    scans = records.scans
+    with_features = np.flatnonzero(scans.has_features[rows.start : rows.stop])
+    features = feature_columns([scans.features(rows[row]) for row in with_features.tolist()], exact=False)
+    columns = {name: _spread(column, with_features, len(rows)) for name, column in features.items()}
+    at = _rows_of(np.array(records.keyframe_stamps), scans.stamps)
+    first, last = np.searchsorted(at, [rows.start, rows.stop]).tolist()
     for name, ids in (
-        (SEGMENT_IDS, [ids.walls for ids in records.landmark_ids]),
-        (CORNER_IDS, [ids.corners for ids in records.landmark_ids]),
+        (SEGMENT_IDS, [ids.walls for ids in records.landmark_ids[first:last]]),
+        (CORNER_IDS, [ids.corners for ids in records.landmark_ids[first:last]]),
     ):
-        columns[name] = _spread(to_ragged(ids, np.int32), keyframes, count)
-    write_table(file, columns)
+        columns[name] = _spread(to_ragged(ids, np.int32), at[first:last] - rows.start, len(rows))
+    return columns
 
 
 def _spread(column: Ragged, rows: Integers, count: int) -> Ragged:

@@ -6,30 +6,24 @@ estimate as an uninterrupted one, and the whole session can be refined.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from drivers.messages import Scan
-
 from ...config import Config, load_config
 from ...errors import MapError, first_line
-from ...estimation.refinement import ScanHistory, build_scan_history
+from ...estimation.refinement import build_scan_history
 from ...estimation.slam_state import SlamState
 from ...graph.graph_storage import graph_state
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
 from ...mapping.wall_roughness import WallRoughness
-from ...odometry.history import OdometryHistory
-from ...preprocessing.preprocessor import ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
 from ..output_dir import CONFIG, SESSION
+from ..stored_session import StoredSession
 from .agreement import agreement_state
 from .graph import read_factors, read_graph, write_factors, write_variables
-from .header import Recording, SessionHeader, read_header, write_header
+from .header import SessionHeader, read_header, write_header
 from .keyframes import read_keyframes, write_keyframes
 from .landmarks import read_free_space_evidence, read_landmarks, write_corners, write_walls
 from .loop_decisions import read_loop_decisions, write_loop_decisions
@@ -51,49 +45,6 @@ FACTORS = "factors.parquet"
 LOOP_DECISIONS = "loop_decisions.parquet"
 RESTORING_ERRORS = (MapError, ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 """Errors of restoring a state from damaged tables."""
-
-
-@dataclass(slots=True, eq=False)
-class StoredSession:
-    """Contents of a session.
-
-    config          settings in effect
-    slam_state      map, graph, trajectory and learned models
-    scans           all processed scans, in time order
-    odometry        all readings of each odometry segment
-    starts          rows of the scans at which an odometry segment starts
-    sigma_range     last estimate of a range's standard deviation, metres
-    recordings      recordings that the session was made from
-    loop_decisions  all decisions on loop closure candidates, with the values of `summary.json`
-    queued_scans    last scans, whose sweep odometry did not cover yet: part of the trajectory in the results, but not
-                    of `slam_state`, since more odometry may follow
-    second_sigma_range  as sigma_range, of the second lidar; None if there is none
-    """
-
-    config: Config
-    slam_state: SlamState
-    scans: Sequence[ProcessedScan]
-    odometry: Sequence[OdometryHistory]
-    starts: Sequence[int]
-    sigma_range: float
-    recordings: list[Recording] = field(default_factory=list)
-    loop_decisions: Sequence[Mapping[str, Any]] = ()
-    queued_scans: Sequence[Scan] = ()
-    second_sigma_range: float | None = None
-
-    @property
-    def latest(self) -> float:
-        """Stamp of the last measurement, seconds; -inf if there is none."""
-        stamps = [history.latest for history in self.odometry]
-        stamps += [scan.stamp for scan in self.scans[-1:]] + [scan.stamp for scan in self.queued_scans]
-        return max(stamps, default=-np.inf)
-
-    def scan_history(self) -> ScanHistory:
-        """Return all processed scans with their poses relative to keyframes."""
-        slam_state = self.slam_state
-        return build_scan_history(
-            self.scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes, self.starts
-        )
 
 
 def write_session(directory: Path, session: StoredSession) -> None:

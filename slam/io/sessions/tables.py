@@ -7,8 +7,9 @@ well.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -53,35 +54,51 @@ class Ragged:
         return np.concatenate([[0], np.cumsum(self.lengths)])
 
 
+Column = Array | Ragged | Sequence[str]
+Columns = Mapping[str, Column]
+"""Columns of a table by their names."""
+
+
 def to_ragged(rows: Sequence[Array], dtype: type) -> Ragged:
     """Concatenate the arrays (m_k,) of n rows into one column."""
     lengths = np.array([len(row) for row in rows], dtype=np.int64)
     return Ragged(np.concatenate([np.zeros(0), *rows]).astype(dtype), lengths)
 
 
-def write_table(path: Path, columns: Mapping[str, Array | Ragged | Sequence[str]]) -> None:
+def write_table(path: Path, columns: Columns) -> None:
     """Write columns of equal length as one table, named after the file. Raises OSError."""
-    arrays = {name: _to_arrow(column) for name, column in columns.items()}
-    table = pa.table(arrays).replace_schema_metadata({TABLE_NAME: path.stem.encode()})
+    write_row_groups(path, [columns])
+
+
+def write_row_groups(path: Path, groups: Iterable[Columns]) -> None:
+    """Write the rows of one table group by group, at least one: only one is in memory at a time. Raises OSError.
+
+    Each has the same columns.
+    """
+    tables = (pa.table({name: _to_arrow(column) for name, column in group.items()}) for group in groups)
+    first = next(tables)
     encodings, dictionaries = {}, []
-    for field in table.schema:
+    for field in first.schema:
         leaf = f"{field.name}.list.element" if pa.types.is_list(field.type) else field.name
         kind = field.type.value_type if pa.types.is_list(field.type) else field.type
         if pa.types.is_integer(kind) or pa.types.is_floating(kind):
             encodings[leaf] = "BYTE_STREAM_SPLIT"
         else:
             dictionaries.append(leaf)
-    pq.write_table(
-        table,
+    schema = first.schema.with_metadata({TABLE_NAME: path.stem.encode()})
+    with pq.ParquetWriter(
         path,
+        schema,
         compression="zstd",
         column_encoding=encodings,
         use_dictionary=dictionaries,
         memory_pool=pa.system_memory_pool(),  # reuses what the run has freed; Arrow's own pool would add some 10 MB
-    )
+    ) as writer:
+        for table in chain([first], tables):
+            writer.write_table(table.cast(schema))
 
 
-def _to_arrow(column: Array | Ragged | Sequence[str]) -> pa.Array:
+def _to_arrow(column: Column) -> pa.Array:
     if isinstance(column, Ragged):
         return pa.ListArray.from_arrays(_wrapped(column.ends.astype(np.int32)), _wrapped(column.values))
     if isinstance(column, np.ndarray):

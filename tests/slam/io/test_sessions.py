@@ -166,6 +166,21 @@ def test_scans_are_read_back(written: tuple[StoredSession, Path]) -> None:
         np.testing.assert_array_equal(after.points.clutter, before.points.clutter)
 
 
+def test_scans_are_the_same_in_any_number_of_groups(
+    written: tuple[StoredSession, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scans of long drives are written in groups of rows, to bound the memory for it."""
+    session, path = written
+    monkeypatch.setattr("slam.io.sessions.scans.GROUP_ROWS", 7)
+    write_directory(tmp_path / "groups", session)
+    file = Path(SESSION) / SCANS
+    parts, whole = pq.ParquetFile(tmp_path / "groups" / file), pq.ParquetFile(path / file)
+    assert parts.num_row_groups == -(-len(session.scans) // 7)
+    assert whole.num_row_groups == 1
+    assert parts.read().equals(whole.read())
+    assert len(read_session(tmp_path / "groups").scans) == len(session.scans)
+
+
 def test_arrays_of_features_are_contiguous_as_in_a_run(written: tuple[StoredSession, Path]) -> None:
     """With another memory layout, compiled functions would be compiled a second time."""
     session, path = written

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers import se2
 from slam.geometry.segments import Floats, Segments
-from slam.matching.scan_points import CONTINUATION, LINE_DISTANCE, segments_of, surface_points
+from slam.matching.scan_points import CONTINUATION, LINE_DISTANCE, POINT_UNIT, ScanPoints, segments_of, surface_points
 
 from ..outlines import NO_SEGMENTS, outline, visible, with_noise
 
@@ -128,3 +128,12 @@ def test_single_points_have_no_normals() -> None:
     assert surface_points(np.zeros((0, 2)), NO_SEGMENTS, SPACING).shape == (0, 4)
     alone = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [6.0, 0.0], [8.0, 0.0]])
     np.testing.assert_array_equal(surface_points(alone, NO_SEGMENTS, SPACING)[:, 2:], 0.0)
+
+
+def test_points_are_rounded_to_the_unit_and_clipped() -> None:
+    points = np.array([[1.23449, -0.0006], [1e7, -1e7], [0.0, 80.0]])
+    kept = ScanPoints(points, points[2:])
+    np.testing.assert_array_equal(kept.all, POINT_UNIT * np.array([[1234, -1], [2e6, -2e6], [0, 80000]]))
+    np.testing.assert_array_equal(kept.clutter, [[0.0, 80.0]])
+    again = ScanPoints(kept.all, kept.clutter)
+    np.testing.assert_array_equal(again.all, kept.all)
