@@ -10,6 +10,7 @@ from slam.mapping.landmark_table import UNOBSERVED
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import _wall_drifts, empty_local_map, local_map_around
 from slam.mapping.near_landmarks import BEHIND_MARGIN, near_corners, near_walls
+from slam.mapping.repeated_observation import drop_unobserved, reset_observations
 from slam.mapping.sight_lines import walls_in_view
 
 
@@ -144,11 +145,11 @@ def test_observing_again_keeps_ids_and_drops_unobserved_landmarks() -> None:
         landmarks.add_corner(np.array([1.0, y]), np.zeros(2), np.array([-1, -1]), keyframe=0)
     landmarks.merge_walls(2, 1)
     landmarks.confirm_observed(1)
-    landmarks.reset_observations()
+    reset_observations(landmarks)
     landmarks.observe_wall(0, np.array([0.5, 0.0, 0.0]), 0.4, keyframe=4)
     landmarks.observe_wall(0, np.array([0.5, 0.0, 0.0]), 0.4, keyframe=7)
     landmarks.observe_corner(0, np.zeros(2), keyframe=4)
-    landmarks.drop_unobserved()
+    drop_unobserved(landmarks)
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
     assert (walls["low"][0], walls["high"][0]) == pytest.approx((0.1, 0.9))
     assert (walls["observations"][0], walls["first_seen"][0], walls["last_seen"][0]) == (2, 4, 7)
