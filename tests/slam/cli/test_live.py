@@ -35,7 +35,7 @@ from slam.visualisation.rerun_log import ViewerServer
 
 from ..robot import LiveRun, Robot, wait_for
 
-DURATION = 12.0
+DURATION = 9.0
 """Duration of the live run, seconds."""
 FIRST_KEYFRAMES = 3
 """Number of keyframes that the first viewer must exceed."""
