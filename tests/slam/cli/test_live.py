@@ -35,6 +35,8 @@ from slam.visualisation.rerun_log import ViewerServer
 
 from ..robot import LiveRun, Robot, wait_for
 
+pytestmark = pytest.mark.shared_run
+
 DURATION = 9.0
 """Duration of the live run, seconds."""
 FIRST_KEYFRAMES = 3

@@ -23,6 +23,8 @@ from slam.visualisation.rerun_log.shapes import segment_ends
 from ..corridor import of_kind
 from ..listeners import EventCollector
 
+pytestmark = pytest.mark.shared_run
+
 
 class Logged(NamedTuple):
     """Log and events of a run that accepted a loop and retracted it, and the pipeline at its end."""
