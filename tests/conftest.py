@@ -25,6 +25,11 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         warm_up()
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with modules that share a long run: a process that takes over some of their tests would repeat the run."""
+    items.sort(key=lambda item: item.get_closest_marker("shared_run") is None)
+
+
 @pytest.fixture(autouse=True, scope="session")
 def no_messages_about_slowness() -> Iterator[None]:
     """Let no command print on stderr that it takes long: the listener to compilations stays for all later tests."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,10 +16,10 @@ from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, GroundTruth, Message, Scan, YawRate
 from ..se2 import Pose
-from .no_returns import SpreadSample, find_no_return
 from .point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from .range_units import ScanInUnits, find_range_unit
 from .reader import RecordingReader
+from .ros_contents import Contents, survey
 from .ros_messages import (
     BEAMS,
     IMU,
@@ -41,68 +39,14 @@ from .ros_messages import (
 )
 from .scan_topics import ScanTopic, choose_scan_topic
 from .stored_messages import OdometryTopic, StoredMessage, find_odometry_frames
-from .transforms import TransformTree
 
 GROUND_TRUTH_TOPIC = "/ground_truth"
 MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, IMU, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
-MAX_TF_MESSAGES = 1000
-"""Messages on /tf that are searched for the lidar's mount, which older robots publish there repeatedly."""
 
 
 def beams_topic(scan_topic: str) -> str:
     """Return the topic with the exact beams of the scans on a topic."""
     return f"{scan_topic}_beams"
-
-
-@dataclass(slots=True)
-class _Contents:
-    """Topics and transforms of a recording, found in a first pass.
-
-    counts     type name -> topic -> number of messages
-    fixed      static transforms
-    all        static transforms and those on /tf
-    base       frame that the odometry moves
-    scans      topic -> some of its scans
-    """
-
-    counts: dict[str, Counter[str]] = field(default_factory=dict)
-    fixed: TransformTree = field(default_factory=TransformTree)
-    all: TransformTree = field(default_factory=TransformTree)
-    base: str | None = None
-    scans: dict[str, SpreadSample[StoredMessage]] = field(default_factory=dict)
-
-    def sample(self, topic: str | None) -> list[tuple[Any, int]]:
-        """Return some LaserScans of a topic, spread over the recording, with their times of reception (nanoseconds)."""
-        decoded = []
-        for stored in self.scans[topic].items if topic in self.scans else ():
-            with suppress(ValueError):  # counted on the final pass
-                decoded.append((decode(stored.data, LASER_SCAN, stored.encoding), stored.received))
-        return decoded
-
-    def find_no_return(self, topic: str | None, per_metre: float) -> float:
-        """Return the smallest range (metres) of a topic's scans that stands for a no-return, infinity if there is none.
-
-        per_metre  units of the topic's ranges in a metre
-        """
-        ranges = []
-        for message, received in self.sample(topic):
-            with suppress(ValueError):
-                ranges.append(scan_of(message, received, LidarMount(), per_metre).ranges)
-        found = find_no_return(ranges)
-        return math.inf if found is None else found
-
-    def find_pose(self, frame: str) -> Floats | None:
-        """Return the pose (4, 4) of a lidar's frame on the base, preferably from static transforms only."""
-        poses = (tree.find_pose(frame, self.base) for tree in (self.fixed, self.all))
-        return next((pose for pose in poses if pose is not None), None)
-
-    def find_mount(self, frame: str) -> LidarMount:
-        """Return the mount of a lidar's frame, preferably from static transforms only."""
-        for tree in (self.fixed, self.all):
-            mount = tree.find_mount(frame, self.base)
-            if mount.pose is not None:
-                return mount
-        return LidarMount()
 
 
 class RosReader(RecordingReader):
@@ -168,7 +112,7 @@ class RosReader(RecordingReader):
             except ValueError as error:
                 self.skip(stored.number, str(error))
 
-    def _yaw_rate(self, stored: StoredMessage, contents: _Contents) -> YawRate:
+    def _yaw_rate(self, stored: StoredMessage, contents: Contents) -> YawRate:
         message = decode(stored.data, IMU, stored.encoding)
         axis = contents.fixed.up_axis(contents.base, message.header.frame_id)
         return yaw_rate_of(message, stored.received, axis)
@@ -177,7 +121,7 @@ class RosReader(RecordingReader):
         self,
         stored: StoredMessage,
         beams: StoredMessage | None,
-        contents: _Contents,
+        contents: Contents,
         mounts: dict[str, LidarMount],
         per_metre: float,
         no_return: float,
@@ -196,7 +140,7 @@ class RosReader(RecordingReader):
     def _cloud_scan(
         self,
         stored: StoredMessage,
-        contents: _Contents,
+        contents: Contents,
         mounts: dict[str, LidarMount],
         poses: dict[str, Floats | None],
     ) -> Scan:
@@ -206,7 +150,7 @@ class RosReader(RecordingReader):
             mounts[frame], poses[frame] = contents.find_mount(frame), contents.find_pose(frame)
         return scan_of_cloud(message, stored.received, poses[frame], mounts[frame], self.cut)
 
-    def _drive(self, scans: str | None, odometry: OdometryTopic, contents: _Contents) -> Iterator[ScanInUnits]:
+    def _drive(self, scans: str | None, odometry: OdometryTopic, contents: Contents) -> Iterator[ScanInUnits]:
         """Yield all scans of a topic in the recording's order and in their own unit, with the odometry before them."""
         base: Pose | None = None
         for stored in self._stored_messages(final=False):
@@ -221,36 +165,13 @@ class RosReader(RecordingReader):
                     yield ScanInUnits(scan.angles, scan.ranges, pose)
 
     @cached_property
-    def _contents(self) -> _Contents:
+    def _contents(self) -> Contents:
         """Topics, transforms and the base's frame, found in a first pass; in two, if point clouds are needed."""
-        contents = self._survey()
+        contents = survey(self._stored_messages(final=False))
         topics = contents.counts.get(LASER_SCAN, Counter())
         if not topics or (self.scan_topic is not None and self.scan_topic not in topics):
             self._types = MESSAGE_TYPES | {POINT_CLOUD}
-            contents = self._survey()
-        return contents
-
-    def _survey(self) -> _Contents:
-        contents = _Contents()
-        tf_messages = 0
-        for stored in self._stored_messages(final=False):
-            counts = contents.counts.setdefault(stored.msgtype, Counter())
-            counts[stored.topic] += 1
-            try:
-                if stored.msgtype in (TRANSFORMS, TRANSFORMS_ROS1):
-                    fixed = stored.topic.endswith("tf_static")
-                    tf_messages += not fixed
-                    if fixed or tf_messages <= MAX_TF_MESSAGES:
-                        message = decode(stored.data, stored.msgtype, stored.encoding)
-                        contents.all.add(message)
-                        if fixed:
-                            contents.fixed.add(message)
-                elif stored.msgtype == LASER_SCAN:
-                    contents.scans.setdefault(stored.topic, SpreadSample()).add(stored)
-                elif stored.msgtype == ODOMETRY and contents.base is None:
-                    contents.base = decode(stored.data, ODOMETRY, stored.encoding).child_frame_id or None
-            except ValueError:
-                continue  # counted on the final pass; a transform that cannot be decoded leaves the mount unknown
+            contents = survey(self._stored_messages(final=False))
         return contents
 
     @cached_property
@@ -282,7 +203,7 @@ class RosReader(RecordingReader):
         contents.base = contents.base if frames is None else frames[1]
         return OdometryTopic(None, frames)
 
-    def _choose_topic(self, contents: _Contents, msgtype: str, named: str | None) -> str | None:
+    def _choose_topic(self, contents: Contents, msgtype: str, named: str | None) -> str | None:
         topics = contents.counts.get(msgtype, Counter())
         if named is None:
             return topics.most_common(1)[0][0] if topics else None

@@ -18,19 +18,13 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import CLOSING_UPDATES
 from ..loop_closure.closing import LOOP_FACTOR_SIGMAS
-from ..loop_closure.criteria import SUPPORT_RATIO
-from ..loop_closure.join_search import ATTEMPT_DISTANCE, ATTEMPT_KEYFRAMES, RECENT_DISTANCE
-from ..loop_closure.look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, UNMODELLED_SIGMAS
-from ..loop_closure.map_descriptor import express_in_frame
-from ..loop_closure.relocalisation import MIN_SUBMAP_OVERLAP, MIN_WALLS, index_map, relocalise, submap_of
-from ..loop_closure.submap_alignment import align_submap, sample_walls
-from ..loop_closure.submap_search import are_distinct
+from ..loop_closure.join_search import RECENT_DISTANCE
+from ..loop_closure.look import SUBMAP_LENGTH
 from ..mapping.frame_change import change_frame
 from ..mapping.map_features import MapWalls
 from ..mapping.plan_map import PlanMap
-from ..mapping.plan_mapper import plan_mapper
 from ..mapping.plan_walls import PlanWall, contradicts, walls_on_plan
-from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
+from .plan_recognition import PlanRecognition
 
 if TYPE_CHECKING:
     from ..mapping.mapper import Mapper
@@ -53,22 +47,19 @@ class PlanPrior:
     def __init__(self, plan_map: PlanMap, start: se2.Pose | None, start_covariance: Floats) -> None:
         """Prepare a plan for recognition. Raises MapError if it shows too little.
 
-        start             roughly known pose of the base in the plan at the first scan, with its covariance (3, 3)
+        start  roughly known pose of the base in the plan at the first scan, with its covariance (3, 3)
         """
         self.plan_map = plan_map
         self.recognised = False
-        self._index = index_map(plan_mapper(plan_map))
-        self._start, self._start_covariance = start, start_covariance
-        self._found: list[tuple[se2.Pose, float]] = []  # motions into the plan, and the metres driven
-        self._last_keyframe, self._last_distance = -ATTEMPT_KEYFRAMES, -ATTEMPT_DISTANCE
+        self._recognition = PlanRecognition(plan_map, start, start_covariance)
         self._supported: set[int] = set()  # walls of the map
         self._observed = -1  # last keyframe whose walls were compared with the plan
         self._anchored = 0  # last keyframe that saw a wall which the plan supports
 
     def __deepcopy__(self, memo: dict[int, object]) -> PlanPrior:
-        """Return an independent copy; plan and index are never changed and are shared."""
+        """Return an independent copy; the plan is never changed and is shared."""
         other = copy.copy(self)
-        other._found, other._supported = list(self._found), set(self._supported)
+        other._recognition, other._supported = copy.deepcopy(self._recognition, memo), set(self._supported)
         return other
 
     def update(self, mapper: Mapper) -> bool:
@@ -81,9 +72,9 @@ class PlanPrior:
         if self.recognised:
             self._support_observed(mapper)
             if mapper.travelled[-1] - mapper.travelled[self._anchored] < SUBMAP_LENGTH:
-                self._found.clear()
+                self._recognition.discard_found()
                 return False
-        found = self._search(mapper)
+        found = self._recognition.search(mapper, self._anchored if self.recognised else None)
         if found is None:
             return False
         return self._correct(mapper, found[0]) if self.recognised else self._move_to_plan(mapper, *found)
@@ -91,7 +82,7 @@ class PlanPrior:
     def settle(self, mapper: Mapper) -> bool:
         """Test all walls of a finished map, which has converged; return False if it is not recognised in the plan."""
         if not self.recognised:
-            found = self._find(mapper, np.ones(mapper.keyframe_count, dtype=bool))
+            found = self._recognition.find(mapper, np.ones(mapper.keyframe_count, dtype=bool))
             if found is None or not self._move_to_plan(mapper, *found):
                 return False
         graph, refuted = mapper.graph, set[int]()
@@ -127,74 +118,6 @@ class PlanPrior:
     def _walls(self) -> MapWalls:
         """Walls of the plan."""
         return self.plan_map.walls
-
-    # --- recognition
-
-    def _search(self, mapper: Mapper) -> tuple[se2.Pose, Floats] | None:
-        """Return the motion into the plan, with the covariance (3, 3) of the robot's pose there, if it is certain."""
-        travelled = np.asarray(mapper.travelled)
-        last, now = mapper.keyframe_count - 1, float(travelled[-1])
-        if last - self._last_keyframe < ATTEMPT_KEYFRAMES or now - self._last_distance < ATTEMPT_DISTANCE:
-            return None
-        self._last_keyframe, self._last_distance = last, now
-        recent = (travelled > now - RECENT_DISTANCE) & mapper.landmarks.parts.connected(np.arange(last + 1))
-        if self._start is not None and not self.recognised:
-            aligned = self._align(mapper, recent, self._start, self._start_covariance)
-            if aligned is not None:
-                return aligned
-        found = self._find_admitted(mapper, recent) if self.recognised else self._find(mapper, recent)
-        if found is None:
-            return None
-        here = se2.compose(found[0], mapper.pose)
-        agrees = [not are_distinct(here, se2.compose(motion, mapper.pose)) for motion, _ in self._found]
-        before = [distance for (_, distance), agreeing in zip(self._found, agrees, strict=True) if agreeing]
-        self._found.append((found[0], now))
-        certain = bool(before) and now - before[0] >= SUBMAP_LENGTH
-        return found if certain and (len(before) + 1) >= SUPPORT_RATIO * (len(agrees) - len(before)) else None
-
-    def _find(self, mapper: Mapper, observers: np.ndarray) -> tuple[se2.Pose, Floats] | None:
-        """Search the walls of some keyframes (k,) in the whole plan."""
-        found = relocalise(submap_of(mapper, observers), self._index)
-        return (found.motion, found.covariance) if found is not None and found.verdict.accepted else None
-
-    def _find_admitted(self, mapper: Mapper, observers: np.ndarray) -> tuple[se2.Pose, Floats] | None:
-        """Search the walls of some keyframes (k,) in the plan where the robot may be by its uncertainty."""
-        found = relocalise(submap_of(mapper, observers), self._index)
-        if found is None or not found.verdict.plausible:
-            return None
-        pose, covariance = mapper.pose, self._pose_covariance(mapper) + np.diag(UNMODELLED_SIGMAS**2)
-        errors = [se2.between(pose, se2.compose(motion, pose)) for motion in (found.motion, *found.rivals)]
-        near = [bool(error @ np.linalg.solve(covariance, error) < MAX_SQUARED_DISTANCE) for error in errors]
-        if sum(near) != 1:
-            return None
-        motion = (found.motion, *found.rivals)[near.index(True)]
-        here, there = se2.compose(motion, pose), np.diag(np.diag(covariance))
-        return self._align(mapper, observers, se2.compose(here, se2.inverse(pose)), there)
-
-    def _pose_covariance(self, mapper: Mapper) -> Floats:
-        """Return the covariance (3, 3) of the last keyframe's pose in the plan, in its own frame."""
-        last = mapper.keyframe_count - 1
-        drift = embed_position_covariance(mapper.correlated_drift[last] - mapper.correlated_drift[self._anchored])
-        return mapper.graph.keyframe_covariance(last) + rotate_covariance(drift, -float(mapper.pose[2]))
-
-    def _align(
-        self, mapper: Mapper, observers: np.ndarray, start: se2.Pose, start_covariance: Floats
-    ) -> tuple[se2.Pose, Floats] | None:
-        """Align the walls of some keyframes (k,) with the plan near a motion `start` into the plan.
-
-        start_covariance  (3, 3) of the pose of the last of these keyframes after that motion, in its own frame
-        """
-        submap = submap_of(mapper, observers)
-        observed = express_in_frame(submap.pose, submap.descriptor)
-        if len(observed) < MIN_WALLS:
-            return None
-        guess = se2.compose(start, submap.pose)
-        alignment = align_submap(guess, observed, sample_walls(observed), self._index.descriptor)
-        motion = se2.compose(alignment.pose, se2.inverse(submap.pose))
-        error, covariance = se2.between(guess, alignment.pose), np.linalg.inv(alignment.information)
-        near = error @ np.linalg.solve(start_covariance, error) < MAX_SQUARED_DISTANCE
-        fits = alignment.length >= MIN_SUBMAP_OVERLAP * float(alignment.observed.sum())
-        return (motion, np.asarray(covariance)) if near and fits else None
 
     def _move_to_plan(self, mapper: Mapper, motion: se2.Pose, covariance: Floats) -> bool:
         """Move the map into the plan, and let the plan support the walls around the robot that agree with it.
@@ -242,7 +165,7 @@ class PlanPrior:
         graph.update_until_converged(CLOSING_UPDATES)
         mapper.read_back_all()
         self._anchored = last
-        self._found.clear()
+        self._recognition.discard_found()
         return True
 
     # --- support

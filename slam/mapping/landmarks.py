@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, UNOBSERVED, WALL_DTYPE, LandmarkTable
+from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, WALL_DTYPE, LandmarkTable
 from .map_parts import MapParts
 from .near_landmarks import NO_KEYFRAME, near_corners, near_walls
 from .wall_cells import WALL_CELL, cells_between, latest_openings, pieces_of, still_covered, trimmed
@@ -112,42 +112,6 @@ class Landmarks:
         row["headings"] = headings
         row["observations"] += 1
         row["last_seen"] = keyframe
-
-    def reset_observations(self) -> None:
-        """Clear the extents, observations and confirmation of all landmarks; ids and openings stay.
-
-        The caller then observes the landmarks again from every keyframe, and calls `drop_unobserved`.
-        """
-        walls, corners = self.walls.rows, self.corners.rows
-        walls["observations"], walls["last_seen"], walls["first_seen"] = 0, UNOBSERVED, np.iinfo(np.int64).max
-        walls["low"], walls["high"], walls["in_graph"] = np.inf, -np.inf, False
-        self.covered = [frozenset()] * len(walls)
-        corners["observations"], corners["last_seen"], corners["in_graph"] = 0, UNOBSERVED, False
-
-    def drop_unobserved(self) -> None:
-        """Finish what `reset_observations` began: deactivate the landmarks that no keyframe has observed since."""
-        walls, corners = self.walls.rows, self.corners.rows
-        for wall in self.opened:
-            self.trim_extent(wall)
-        unobserved = walls["observations"] == 0
-        dropped = unobserved & (walls["merged_into"] == np.arange(len(walls)))
-        walls["merged_into"][dropped] = UNOBSERVED
-        merged = walls["merged_into"] >= 0
-        walls["merged_into"][merged & np.isin(walls["merged_into"], np.flatnonzero(dropped))] = UNOBSERVED
-        walls["first_seen"][unobserved] = walls["last_seen"][unobserved] = 0
-        corners["position"][corners["observations"] == 0] = np.nan  # no distance to it is small
-
-    def forget_observations(self, walls: Integers) -> None:
-        """Clear the extents and observations of some walls (n,), and unmerge them; openings stay.
-
-        The caller then merges them again, observes them from every keyframe, and calls `drop_unobserved`.
-        """
-        rows = self.walls.rows
-        rows["observations"][walls], rows["last_seen"][walls] = 0, UNOBSERVED
-        rows["first_seen"][walls] = np.iinfo(np.int64).max
-        rows["low"][walls], rows["high"][walls], rows["merged_into"][walls] = np.inf, -np.inf, walls
-        for wall in walls.tolist():
-            self.covered[wall] = frozenset()
 
     def restore_walls(self, walls: Iterable[int], keyframes: range) -> list[int]:
         """Treat some walls as never removed or opened at some keyframes; return those that were."""

@@ -21,6 +21,7 @@ from ..graph.factors import Factor, FactorKind
 from ..graph.rebuilding import LandmarkCopy, with_copies
 from .keyframes import LandmarkIds
 from .read_back import recompute_covariances
+from .repeated_observation import drop_unobserved, forget_observations
 
 if TYPE_CHECKING:
     from .mapper import Mapper
@@ -219,7 +220,7 @@ def _observe_again(
 ) -> None:
     """Merge some walls (n,) by equalities, and recompute what depends on their observations by all keyframes."""
     landmarks, rows = mapper.landmarks, mapper.landmarks.walls.rows
-    landmarks.forget_observations(walls)
+    forget_observations(landmarks, walls)
     merged_into = {wall: wall for wall in walls.tolist()}
     for factor in equalities:
         if factor.first in merged_into:
@@ -233,5 +234,5 @@ def _observe_again(
             wall, half_length = int(ids.walls[i]), float(segments[keyframe].half_length[i])
             if (keyframe, wall) in observed:
                 landmarks.observe_wall(int(rows["merged_into"][wall]), frames[i], half_length, keyframe)
-    landmarks.drop_unobserved()
+    drop_unobserved(landmarks)
     mapper.free_space_evidence.discard(walls.tolist())

@@ -32,7 +32,7 @@ class WallMap:
         """Return the row of a wall. Raises MapError if the map has no such wall."""
         rows = np.flatnonzero(self.walls.identity == identity)
         if not len(rows):
-            raise MapError(f"the map has no wall {identity}")
+            raise MapError(f"the map has no wall {identity}; map.json and the report page list its walls")
         return int(rows[0])
 
     def sigma(self, gradient: Floats) -> float:

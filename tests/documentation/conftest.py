@@ -6,7 +6,6 @@ import contextlib
 import shutil
 from collections.abc import Callable, Iterator
 from functools import cache
-from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,12 @@ from typer.testing import CliRunner, Result
 
 from drivers import se2, simulation
 from drivers.messages import GroundTruth, Odometry, Scan, Source
+from drivers.timing import beam_order, delay
 from drivers.timing.turns import Turns
 from slam.cli.app import app
 from slam.io.tum import Trajectory, read_tum, write_tum
+
+from ..replacements import replaced
 
 DURATION = 12.0
 """Duration of simulated drives, seconds; more than a hundred scans."""
@@ -76,8 +78,7 @@ def simulations_of(seconds: float) -> Iterator[None]:
     ) -> Any:
         return whole(world, seed, min(duration or seconds, seconds), FEW_BEAMS, wheels, *rest, **more)
 
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(simulation, "Simulation", short)
+    with pytest.MonkeyPatch.context() as patch, replaced(simulation, "Simulation", short):
         patch.setenv("COLUMNS", "200")
         patch.delenv("DISPLAY", raising=False)
         patch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -87,11 +88,9 @@ def simulations_of(seconds: float) -> Iterator[None]:
 @pytest.fixture(scope="module", autouse=True)
 def timing_is_estimated_once() -> Iterator[None]:
     """Estimate the timing of a recording once: the recordings of the pages are copies of a few, under several names."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("beam_order.decide_beam_order", "delay.estimate_delay"):
-            module, _, function = name.partition(".")
-            place = f"drivers.timing.{module}"
-            patch.setattr(f"{place}.{function}", _cached(getattr(import_module(place), function)))
+    with contextlib.ExitStack() as stack:
+        for module, function in ((beam_order, "decide_beam_order"), (delay, "estimate_delay")):
+            stack.enter_context(replaced(module, function, _cached(getattr(module, function))))
         yield
 
 

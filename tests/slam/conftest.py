@@ -22,6 +22,7 @@ from slam.mapping.map_features import MapCorners, MapWalls
 from slam.odometry.history import OdometryHistory
 from slam.visualisation.rerun_log import ReviewLog
 
+from ..replacements import replaced
 from .corridor import Corridor
 
 
@@ -89,12 +90,8 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> Iterator[t
             )
 
     monkeypatch.setattr("slam.warmup.warm_up", lambda: None)  # first, as importing it imports the real pipeline
-    real = sys.modules["slam.pipeline"].Slam
-    monkeypatch.setattr("slam.pipeline.Slam", FakeSlam)
-    yield FakeSlam
-    for module in list(sys.modules.values()):  # those that were imported meanwhile have imported the replacement
-        if getattr(module, "__dict__", {}).get("Slam") is FakeSlam:
-            module.__dict__["Slam"] = real
+    with replaced(sys.modules["slam.pipeline"], "Slam", FakeSlam):
+        yield FakeSlam
 
 
 class Wclm:

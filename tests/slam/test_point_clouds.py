@@ -10,8 +10,9 @@ from drivers.messages import GroundTruth, Message, Scan
 from drivers.recordings.point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import TRANSFORMS, LidarMount, decode
+from drivers.ros2.inputs import Inputs
 from drivers.ros2.link import STATIC_TRANSFORMS, QoS
-from drivers.ros2.receiver import Inputs, RosReceiver
+from drivers.ros2.receiver import RosReceiver
 from slam import Slam
 from slam.evaluation.metrics import score_reference
 from slam.io.tum import Trajectory

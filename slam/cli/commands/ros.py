@@ -38,9 +38,9 @@ from .ros_options import (
 if TYPE_CHECKING:
     from drivers.devices.device_spec import DeviceSpec
     from drivers.devices.driving import DriveLimits
+    from drivers.ros2.inputs import Inputs
     from drivers.ros2.link import Link
     from drivers.ros2.names import NodeNames
-    from drivers.ros2.receiver import Inputs
     from drivers.ros2.wheel_base import RosWheelBase
 
     from ...ros.parameters import NodeParameters
@@ -189,7 +189,7 @@ def _open_base(
 
 def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base: OwnBase | None) -> Inputs:
     from drivers.recordings.point_clouds import HeightCut
-    from drivers.ros2.receiver import Inputs
+    from drivers.ros2.inputs import Inputs
 
     return Inputs(
         scan=names.resolve(parameters.scan_topic),

@@ -11,6 +11,7 @@ from drivers import se2
 from ...geometry.segments import Floats
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmarks import Landmarks
+from ...mapping.repeated_observation import drop_unobserved, reset_observations
 from ...mapping.wall_roughness import add_roughness
 from .scan_history import ScanHistory
 
@@ -22,7 +23,7 @@ def recount_observations(
 
     `landmark_ids` (k) associate their features. Unobserved landmarks are removed; ids do not change.
     """
-    landmarks.reset_observations()
+    reset_observations(landmarks)
     for k, (row, ids) in enumerate(zip(history.keyframes, landmark_ids, strict=True)):
         features = history.scans[row].features
         frames = se2.compose(poses[k], features.segments.frame).reshape(-1, 3)
@@ -30,7 +31,7 @@ def recount_observations(
             landmarks.observe_wall(int(ids.walls[i]), frames[i], features.segments.half_length[i], k)
         for i in np.flatnonzero(ids.corners >= 0):
             landmarks.observe_corner(int(ids.corners[i]), se2.wrap(features.corners.headings[i] + poses[k, 2]), k)
-    landmarks.drop_unobserved()
+    drop_unobserved(landmarks)
 
 
 def recompute_covariances(

@@ -16,7 +16,7 @@ from ...io.sessions.corrections import Pin
 from ...io.tum import Trajectory
 from ...mapping.mapper import Mapper
 from ...measuring.wall_map import WallMap
-from .pin_adjustment import PinnedValue
+from .pinned_value import PinnedValue
 
 MAX_TIME_DIFFERENCE = 0.5
 """Seconds between the stamp of a pinned pose and the nearest scan."""

@@ -17,8 +17,6 @@ from typing import assert_never
 import numpy as np
 import rerun as rr
 
-from drivers import se2
-
 from ...events import (
     Event,
     Finished,
@@ -43,7 +41,7 @@ from .blueprint import Extent, layout
 from .confidence_layer import log_confidence
 from .factor_graph_layer import FactorGraphLayer
 from .grid_layer import log_grid
-from .ground_truth_errors import GroundTruthErrors
+from .ground_truth_layer import GroundTruthLayer
 from .keyframe_layer import KeyframeLayer
 from .loop_layer import CorrectionLayer, DecisionLayer
 from .map_layer import MapLayer
@@ -51,12 +49,12 @@ from .path_layer import PathLayer
 from .rrd_writer import CANDIDATE, CLOSURE, PART_SIZE, RrdWriter
 from .scan_layer import CELL, ScanLayer
 from .shapes import bounds, largest_sigmas
+from .shown_area import NO_MAP, ShownArea
 from .status_layer import StatusLayer
 from .time_series import TimeSeries
 from .viewer import ViewerServer
 
 MIN_LOGGED_SHIFT = 0.1  # metres; larger shifts of the path are reported in the text log
-GROWTH_MARGIN = 0.25  # of the map's size on each side, added when live viewers are shown more of the map
 GROWING_PATH_INTERVAL = 5  # keyframes between updates of the odometry path and the true path
 
 
@@ -79,9 +77,8 @@ class EventLog:
 
         Raises OutputError if the file cannot be written.
         """
-        self._extent = self._shown_extent = bounds(np.empty((0, 2)))
-        self._has_live_viewers = server is not None
-        self._writer = RrdWriter(path, layout(Extent(*self._extent)), server, part_size)
+        self._writer = RrdWriter(path, layout(Extent(*NO_MAP)), server, part_size)
+        self._shown_area = ShownArea(self._writer, has_live_viewers=server is not None)
         self._log_run_properties(config, recording, versions, seed)
         self._decisions = self._corrections = 0  # loop decisions and corrections of the map so far
         self._decision_steps = self._correction_steps = 0  # steps of the timelines so far
@@ -94,8 +91,7 @@ class EventLog:
         self._correction_layer = CorrectionLayer(self._writer)
         self._factor_graph_layer = FactorGraphLayer(self._writer, self._time_series)
         self._status_layer = StatusLayer(self._writer)
-        self._ground_truth = GroundTruthErrors()
-        self._unaligned_truth: list[se2.Pose] = []  # true poses received before the alignment was known
+        self._ground_truth_layer = GroundTruthLayer(self._writer, self._path_layer, self._time_series)
         self._index: int | None = None  # of the last keyframe
         self._stamp = 0.0
         self._pose = np.zeros(3)
@@ -131,7 +127,7 @@ class EventLog:
             case Relocalised():
                 self._write_relocalisation(event)
             case GroundTruthReceived():
-                self._write_true_pose(event)
+                self._ground_truth_layer.add_true_pose(event.stamp, event.pose)
             case Notice():
                 self._at_last_keyframe(event.stamp)
                 self._log_text(event.text, event.level)
@@ -151,10 +147,11 @@ class EventLog:
     def close(self) -> None:
         """Fit the layout to the map, and finish the file."""
         self._end_steps()
-        truth, typical = self._ground_truth.alignment is not None, self._time_series.typical_maximum("time")
-        decided, corrected = self._decisions > 0, self._corrections > 0
-        extent = Extent(*self._extent, truth=truth, typical_time=typical, decided=decided, corrected=corrected)
-        self._writer.set_layout(layout(extent))
+        self._shown_area.finish(
+            truth=self._ground_truth_layer.aligned,
+            typical_time=self._time_series.typical_maximum("time"),
+            corrected=self._corrections > 0,
+        )
         self._writer.close()
 
     def _log_run_properties(self, config: str, recording: str, versions: Mapping[str, str], seed: int | None) -> None:
@@ -216,8 +213,7 @@ class EventLog:
         self._path_layer.add_keyframe(event.index, event.pose, event.odometry, sigma)
         if event.index % GROWING_PATH_INTERVAL == 0:
             self._path_layer.log_growing_paths()
-        self._ground_truth.add_keyframe(event.index, event.stamp, event.pose)
-        self._log_ground_truth_errors()
+        self._ground_truth_layer.add_keyframe(event.index, event.stamp, event.pose)
 
     def _write_merge(self, event: WallsMerged) -> None:
         self._at(event.index, event.stamp)
@@ -240,8 +236,7 @@ class EventLog:
             self._factor_graph_layer.unmerge(event.index)
         self._decision_layer.log(event, self._decisions, pose, self._fit)
         self._correction_layer.log(event)
-        if self._decisions == 1 and self._has_live_viewers:
-            self._set_live_layout()
+        self._shown_area.show_decisions()
         for old, recent in event.merged if event.status == LoopStatus.ACCEPTED else ():
             self._factor_graph_layer.merge(event.index, recent, old, loop=True)
 
@@ -280,37 +275,7 @@ class EventLog:
         self._path_layer.log_estimate(path, keyframes)
         self._scan_layer.log_all(keyframes)
         self._decision_layer.log_loops(keyframes)
-        self._extent = bounds(lines.end_points(), path)
-        self._enlarge_live_view()
-
-    def _enlarge_live_view(self) -> None:
-        """Show live viewers the whole map once it exceeds the view; their changes of the layout are lost."""
-        low, high = self._extent
-        low_shown, high_shown = self._shown_extent
-        if not self._has_live_viewers or (np.all(low >= low_shown) and np.all(high <= high_shown)):
-            return
-        margin = GROWTH_MARGIN * float(np.max(high - low))
-        self._shown_extent = low - margin, high + margin
-        self._set_live_layout()
-
-    def _set_live_layout(self) -> None:
-        """Show live viewers the map as far as it is shown, and the table of loop decisions if there are any."""
-        self._writer.set_layout(layout(Extent(*self._shown_extent, decided=self._decisions > 0)))
-
-    def _write_true_pose(self, event: GroundTruthReceived) -> None:
-        self._ground_truth.add_true_pose(event.stamp, event.pose)
-        self._unaligned_truth.append(event.pose)
-        self._log_ground_truth_errors()
-        if self._ground_truth.alignment is not None:
-            for pose in self._unaligned_truth:
-                self._path_layer.add_true_pose(self._ground_truth.to_map(pose))
-            self._unaligned_truth.clear()
-
-    def _log_ground_truth_errors(self) -> None:
-        for error in self._ground_truth.new_errors():
-            self._at(error.index, error.stamp)
-            values = {"position [cm]": 100 * error.position, "heading [°]": math.degrees(error.heading)}
-            self._time_series.log("error", values)
+        self._shown_area.enlarge(*bounds(lines.end_points(), path))
 
     def _write_finish(self, event: Finished) -> None:
         self._end_steps()

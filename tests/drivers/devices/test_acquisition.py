@@ -141,7 +141,7 @@ def test_stamps_are_right_while_the_consumer_is_busy(make_peer: Callable[..., An
 def receive_with_busy_consumer(peer: Any) -> tuple[list[Message], Snapshot]:
     with Acquisition(parse_devices(peer.spec)) as acquisition:
         messages: list[Message] = []
-        end = time.monotonic() + 6.0
+        end = time.monotonic() + 5.0
         while time.monotonic() < end:
             work = time.monotonic() + 0.15
             while time.monotonic() < work:  # holds the interpreter's lock

@@ -67,9 +67,10 @@ def wait_until(condition: Callable[[], bool]) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_device_is_identified_and_read(kind: str) -> None:
     make, options, name, type_of_message = KINDS[kind]
+    count = 5 if type_of_message is Scan else 25
     with plugged(make()) as path:
         before = time.monotonic()
-        supervisor, messages = run_supervisor(f"{kind}:{path}?{options}", 10 if type_of_message is Scan else 50)
+        supervisor, messages = run_supervisor(f"{kind}:{path}?{options}", count)
         after = time.monotonic()
     assert supervisor.failure is None
     status = supervisor.status()
@@ -77,7 +78,7 @@ def test_every_kind_of_device_is_identified_and_read(kind: str) -> None:
     assert status.state is DeviceState.ENDED
     assert status.counters["connections"] == 1
     assert status.counters["losses"] == 0
-    assert len(messages) >= (10 if type_of_message is Scan else 50)
+    assert len(messages) >= count
     assert {type(message) for message in messages} == {type_of_message}
     stamps = np.array([message.stamp for message in messages])
     assert np.all(np.diff(stamps) > 0.0)
@@ -113,12 +114,12 @@ def test_read_until_advances_after_messages_were_put() -> None:
 def test_old_rplidars_scan_and_stop_their_motors(model: int, duties: list[int]) -> None:
     peer = OldRplidar(model)
     with plugged(peer) as path:
-        supervisor, messages = run_supervisor(f"rplidar:{path}", 9)
+        supervisor, messages = run_supervisor(f"rplidar:{path}", 5)
         wait_until(lambda: peer.begun is None and len(sent_duties(peer)) == len(duties))
     assert supervisor.failure is None
     assert "M8, firmware 1.20" in supervisor.status().identity
     assert supervisor.status().identity.endswith("mode Standard")
-    assert len(messages) >= 9
+    assert len(messages) >= 5
     # The median, because a busy computer runs the emulated lidar late, which looks like lost nodes.
     assert np.median(np.diff([message.stamp for message in messages])) == pytest.approx(1 / 5.5, abs=0.01)
     assert sent_duties(peer) == duties
@@ -159,7 +160,7 @@ def test_a_sleeping_create_is_woken_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_odometry_has_the_speed_of_the_wheels() -> None:
     with plugged(KINDS["wheels"][0]()) as path:
-        _, messages = run_supervisor(f"wheels:{path}?{WHEELS}", 50)
+        _, messages = run_supervisor(f"wheels:{path}?{WHEELS}", 25)
     odometry = [message for message in messages if isinstance(message, Odometry)]
     distances = np.diff([message.pose[0] for message in odometry])
     # The median, because a busy computer runs the emulated base late, and the first stamps follow its delays.

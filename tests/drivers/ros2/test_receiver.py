@@ -10,8 +10,9 @@ from drivers.messages import Odometry, Scan
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS
 from drivers.ros2 import receiver as receiver_module
+from drivers.ros2.inputs import Inputs
 from drivers.ros2.link import STATIC_TRANSFORMS, QoS
-from drivers.ros2.receiver import LATE, MAX_WAITING_SCANS, NO_MOUNT, PAUSED, TOO_SLOW, Inputs, RosReceiver
+from drivers.ros2.receiver import LATE, MAX_WAITING_SCANS, NO_MOUNT, PAUSED, TOO_SLOW, RosReceiver
 
 from ...memory_link import MemoryLink
 

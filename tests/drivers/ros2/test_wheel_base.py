@@ -13,8 +13,9 @@ from drivers.devices.device_spec import parse_device
 from drivers.devices.driving import DriveLimits
 from drivers.messages import Odometry
 from drivers.recordings.ros_messages import ODOMETRY, TRANSFORMS, decode, planar_pose, planar_transform, type_store
+from drivers.ros2.inputs import Inputs
 from drivers.ros2.link import DEFAULT
-from drivers.ros2.receiver import Inputs, RosReceiver
+from drivers.ros2.receiver import RosReceiver
 from drivers.ros2.wheel_base import TWIST, TWIST_STAMPED, BaseTopics, RosWheelBase
 
 from ...memory_link import MemoryLink

@@ -35,7 +35,9 @@ from slam.visualisation.rerun_log import ViewerServer
 
 from ..robot import LiveRun, Robot, wait_for
 
-DURATION = 12.0
+pytestmark = pytest.mark.shared_run
+
+DURATION = 9.0
 """Duration of the live run, seconds."""
 FIRST_KEYFRAMES = 3
 """Number of keyframes that the first viewer must exceed."""

@@ -10,13 +10,10 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam import Finished, Slam
-from slam.estimation import closure_monitor
-from slam.events import Event, LoopDecided
 from slam.geometry.degeneracy import weakest_direction
 from slam.io.tum import Trajectory
-from slam.loop_closure.loop_status import LoopStatus
 
 ROBOT = LidarModel(beams=360)
 
@@ -157,33 +154,3 @@ def test_the_weakest_direction_of_an_information_matrix_is_found() -> None:
     information[2, 2] = 1e5
     assert weakest_direction(np.array([1.0, 2.0, 0.3]), information, 0.3) == pytest.approx(0.8)
     assert weakest_direction(np.zeros(3), information + 1e3 * np.diag([1.0, 1.0, 0.0]), 0.3) is None
-
-
-class Decisions:
-    """A sink that keeps the status of each decision on a loop."""
-
-    handled = (LoopDecided,)
-
-    def __init__(self) -> None:
-        self.statuses: list[str] = []
-
-    def handle(self, event: Event) -> None:
-        """Append the status of a decision."""
-        if isinstance(event, LoopDecided):
-            self.statuses.append(event.status)
-
-
-def test_a_retraction_processes_every_scan_exactly_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(closure_monitor, "_reason_to_retract", lambda *_: "every closure is retracted here")
-    decisions = Decisions()
-    slam, end = Slam(sinks=[decisions]), np.inf
-    for message in Simulation("large_loop", seed=0, lidar=LIDAR_MODELS["short"], wheels=WHEEL_MODELS["bad"]):
-        slam.add(message)
-        if LoopStatus.RETRACTED in decisions.statuses:
-            end = min(end, message.stamp + 5.0)
-        if message.stamp > end:
-            break
-    stamps = slam.slam_state.trajectory.relative_poses()[0]
-    assert np.all(np.diff(stamps) > 0.0)
-    assert decisions.statuses.count(LoopStatus.RETRACTED) == decisions.statuses.count(LoopStatus.ACCEPTED) > 0
-    assert np.all(slam.slam_state.mapper.landmarks.walls.rows["last_seen"] < slam.slam_state.mapper.keyframe_count)

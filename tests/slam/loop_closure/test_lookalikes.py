@@ -79,7 +79,19 @@ def test_row_counts_wrong_relocalisations_and_drives_with_wrong_final_pose() -> 
     assert (twice.misplaced, once.misplaced) == (1, 0)
 
 
-def test_needed_loop_is_closed_at_the_right_place() -> None:
+def limit_drives(monkeypatch: pytest.MonkeyPatch, seconds: float | None) -> None:
+    """Let drives in simulated worlds end after some seconds; None for whole drives."""
+
+    def limited(*arguments: Any) -> Simulation:
+        simulation = simulation_of(*arguments)
+        simulation.duration = seconds
+        return simulation
+
+    monkeypatch.setattr("slam.evaluation.benchmarks.lookalike.simulation_of", limited)
+
+
+def test_needed_loop_is_closed_at_the_right_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    limit_drives(monkeypatch, 130.0)  # some seconds after the closure
     result = run_world("large_loop", 0)
     assert result.needed
     assert result.joined
@@ -100,18 +112,13 @@ def test_no_wrong_closure_is_accepted_between_similar_places(
 ) -> None:
     search, convincing = LoopAgreement._search, []
 
-    def shortened(*arguments: Any) -> Simulation:
-        simulation = simulation_of(*arguments)
-        simulation.duration = seconds
-        return simulation
-
     def counting(self: LoopAgreement, look: Look, places: Sequence[int]) -> list[Any]:
         found = search(self, look, places)
         convincing.append(sum(vote.match.fit > SEARCH_FIT for vote in found))
         return found
 
     monkeypatch.setattr(LoopAgreement, "_search", counting)
-    monkeypatch.setattr("slam.evaluation.benchmarks.lookalike.simulation_of", shortened)
+    limit_drives(monkeypatch, seconds)
     result = run_world(world, seed)
     assert max(convincing, default=0) >= 2, "no look found two places, of which one must be wrong: it proves nothing"
     assert not result.wrong

@@ -65,7 +65,8 @@ def submap_at(pose: se2.Pose, walls: Floats, own: se2.Pose) -> Submap:
     """Return a submap of walls of the map as seen from `pose`, in a frame in which that pose is `own`."""
     there = se2.compose(own, se2.inverse(pose))
     moved = np.column_stack([se2.compose(there, walls[:, :3]), walls[:, 3]])
-    segments = Segments(se2.between(own, moved[:, :3]), walls[:, 3], np.tile(np.eye(2) * 1e-4, (len(walls), 1, 1)))
+    covariances = np.tile(np.eye(2) * 1e-4, (len(walls), 1, 1))
+    segments = Segments(se2.between(own, moved[:, :3]), walls[:, 3].copy(), covariances)
     return Submap(describe_map(landmarks_of(moved), ROUGHNESS), own, [(own, segments)])
 
 

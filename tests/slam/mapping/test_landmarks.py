@@ -10,6 +10,7 @@ from slam.mapping.landmark_table import UNOBSERVED
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import _wall_drifts, empty_local_map, local_map_around
 from slam.mapping.near_landmarks import BEHIND_MARGIN, near_corners, near_walls
+from slam.mapping.repeated_observation import drop_unobserved, reset_observations
 from slam.mapping.sight_lines import walls_in_view
 
 
@@ -105,13 +106,13 @@ def test_landmarks_not_observed_recently_are_less_certain() -> None:
 
 
 def test_corners_are_as_uncertain_as_the_drift_since_they_were_observed() -> None:
-    landmarks, grown = Landmarks(), np.array([0.2, 0.1, 0.04, 0.01])[:, None, None] * np.diag([0.05, 0.03, 0.001])
+    landmarks, grown = Landmarks(), np.array([0.01, 0.04, 0.1, 0.2])[:, None, None] * np.diag([0.05, 0.03, 0.001])
     for keyframe in (3, 1, 2, 0, 1):
         landmarks.add_wall(np.array([0.0, -3.0, 0.0]), 1.0, keyframe)
         landmarks.add_corner(np.array([keyframe, 1.0]), np.zeros(2), np.array([-1, -1]), keyframe)
-    local_map = local_map_around(landmarks, np.zeros(3), 9.0, grown[::-1])
+    local_map = local_map_around(landmarks, np.zeros(3), 9.0, grown)
     np.testing.assert_array_equal(local_map.corners, [0, 1, 2, 3, 4])
-    drift = (grown[0] - grown[::-1])[[3, 1, 2, 0, 1], :2, :2]
+    drift = (grown[-1] - grown)[[3, 1, 2, 0, 1], :2, :2]
     np.testing.assert_allclose(local_map.corner_covariance, drift, atol=1e-12)
 
 
@@ -144,11 +145,11 @@ def test_observing_again_keeps_ids_and_drops_unobserved_landmarks() -> None:
         landmarks.add_corner(np.array([1.0, y]), np.zeros(2), np.array([-1, -1]), keyframe=0)
     landmarks.merge_walls(2, 1)
     landmarks.confirm_observed(1)
-    landmarks.reset_observations()
+    reset_observations(landmarks)
     landmarks.observe_wall(0, np.array([0.5, 0.0, 0.0]), 0.4, keyframe=4)
     landmarks.observe_wall(0, np.array([0.5, 0.0, 0.0]), 0.4, keyframe=7)
     landmarks.observe_corner(0, np.zeros(2), keyframe=4)
-    landmarks.drop_unobserved()
+    drop_unobserved(landmarks)
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
     assert (walls["low"][0], walls["high"][0]) == pytest.approx((0.1, 0.9))
     assert (walls["observations"][0], walls["first_seen"][0], walls["last_seen"][0]) == (2, 4, 7)

@@ -6,6 +6,7 @@ from slam.geometry.segments import CornerPoints, Segments
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.map_replay import replay
 from slam.mapping.mapper import Mapper
+from slam.mapping.repeated_observation import drop_unobserved, reset_observations
 
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=int), np.zeros((0, 2)))
 SIDES = np.array([[0.0, -2.0, 0.0], [3.0, 0.0, np.pi / 2], [0.0, 2.0, np.pi]])
@@ -22,14 +23,14 @@ def test_each_keyframe_adds_its_observations() -> None:
     mapper = Mapper()
     for side in SIDES:
         mapper.landmarks.add_wall(side, 1.0, 0)
-    mapper.landmarks.reset_observations()
+    reset_observations(mapper.landmarks)
     for keyframe, walls in enumerate(OBSERVED):
         for wall in walls:
             mapper.landmarks.observe_wall(wall, SIDES[wall], 1.0, keyframe)
         motion = KeyframeMotion(keyframe - 1, np.array([0.1, 0.0, 0.0]), 1e-4 * np.eye(3)) if keyframe else None
         ids = LandmarkIds(np.array(walls), np.zeros(0, dtype=int))
         mapper.add_keyframe_with_ids(np.array([0.1 * keyframe, 0.0, 0.0]), motion, segments_of(walls), NO_CORNERS, ids)
-    mapper.landmarks.drop_unobserved()
+    drop_unobserved(mapper.landmarks)
     mapper.solve()
     before = mapper.landmarks.walls.rows.copy()
     steps = []

@@ -9,6 +9,7 @@ from slam.graph.final_solution import relinearize_all
 from slam.mapping.convergence import split_walls
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
+from slam.mapping.repeated_observation import drop_unobserved, reset_observations
 
 SIGMAS = np.array([0.004, 0.004])
 """Of offset and heading of a segment: metres, radians."""
@@ -23,7 +24,7 @@ def map_with_gap(second: np.ndarray, seed: int) -> Mapper:
     mapper, pose = Mapper(), np.zeros(3)
     mapper.landmarks.add_wall(walls[0], 1.0, 0)
     mapper.landmarks.add_wall(walls[2], 1.0, 0)
-    mapper.landmarks.reset_observations()
+    reset_observations(mapper.landmarks)
     for keyframe in range(18):
         truth = np.array([0.3 * keyframe, 0.0, 0.0])
         seen = [0, 2] if keyframe < 6 else [0, 1, 2]
@@ -38,7 +39,7 @@ def map_with_gap(second: np.ndarray, seed: int) -> Mapper:
         pose = se2.compose(pose, step) if keyframe else pose
         no_corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=int), np.zeros((0, 2)))
         mapper.add_keyframe_with_ids(pose, motion, segments, no_corners, LandmarkIds(ids, np.zeros(0, dtype=int)))
-    mapper.landmarks.drop_unobserved()
+    drop_unobserved(mapper.landmarks)
     mapper.solve()
     relinearize_all(mapper.graph)
     return mapper

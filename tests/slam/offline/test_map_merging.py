@@ -38,6 +38,8 @@ from slam.optimisation import optimise
 
 from ...recordings import recording_file
 
+pytestmark = pytest.mark.shared_run
+
 OFFICE = {
     "first": ("sim:office?seed=1&duration=75&lidar=short", 0.0),
     "second": ("sim:office?seed=2&duration=90&lidar=short", 15.0),

@@ -5,7 +5,8 @@ import pytest
 
 from drivers import se2
 from slam.errors import MapError
-from slam.offline.corrections.pin_adjustment import ERROR_RATE, PinnedValue, adjust
+from slam.offline.corrections.pin_adjustment import ERROR_RATE, adjust
+from slam.offline.corrections.pinned_value import PinnedValue
 
 SURVEY = np.array([210.0, -35.0, 2.3])
 """Pose of the map in the survey."""

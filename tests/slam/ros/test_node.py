@@ -42,6 +42,7 @@ from slam.io.output_dir import KEYFRAMES, MAP, SUMMARY, TRAJECTORY
 from slam.io.tum import read_tum
 
 from ...memory_link import MemoryLink
+from ...replacements import replaced
 
 WORLD = "sim:office?duration=12&lidar=short"
 TWO_LIDARS = "sim:office?duration=8&lidar=half&mount=0.2,0,0&second_mount=-0.2,0,3"
@@ -159,9 +160,10 @@ def run_node(
         f"    transform_timeout: {TIMEOUT}\n    solver_plugin: solver_plugins::CeresSolver\n"
     )
     feeder = threading.Thread(target=feed, args=(link, robot, calls, patience), daemon=True)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(selection, "open_link", lambda names, backend: link)
-        patch.setattr(receiver, "RosReceiver", OpenedReceiver)
+    with (
+        replaced(selection, "open_link", lambda names, backend: link),
+        replaced(receiver, "RosReceiver", OpenedReceiver),
+    ):
         feeder.start()
         arguments = ["--out", str(out), "--no-review", "--ros-args", "--params-file", str(parameters), *options]
         result = CliRunner().invoke(app, ["ros", *arguments])

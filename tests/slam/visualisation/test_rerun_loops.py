@@ -1,4 +1,4 @@
-"""Loop decisions and residuals in the review log of a run that accepts a loop and retracts it."""
+"""A run that accepts a loop and retracts it: its state, and loop decisions and residuals in its review log."""
 
 from __future__ import annotations
 
@@ -23,12 +23,15 @@ from slam.visualisation.rerun_log.shapes import segment_ends
 from ..corridor import of_kind
 from ..listeners import EventCollector
 
+pytestmark = pytest.mark.shared_run
+
 
 class Logged(NamedTuple):
-    """Log and events of a run that accepted a loop and retracted it."""
+    """Log and events of a run that accepted a loop and retracted it, and the pipeline at its end."""
 
     path: Path
     events: list[Event]
+    slam: Slam
 
     def rows(self, entity: str) -> list[Row]:
         return rows(list(chunks_of([self.path])), entity)
@@ -47,11 +50,18 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
             slam.add(message)
         slam.finish()
     assert review.failures == 0, review.first_failure
-    return Logged(path, listener.events)
+    return Logged(path, listener.events, slam)
 
 
 def decisions(logged: Logged) -> list[LoopDecided]:
     return [event for event in logged.events if isinstance(event, LoopDecided)]
+
+
+def test_a_retraction_processes_every_scan_exactly_once(logged: Logged) -> None:
+    state, statuses = logged.slam.slam_state, [event.status for event in decisions(logged)]
+    assert statuses.count(LoopStatus.RETRACTED) == statuses.count(LoopStatus.ACCEPTED) > 0
+    assert np.all(np.diff(state.trajectory.relative_poses()[0]) > 0.0)
+    assert np.all(state.mapper.landmarks.walls.rows["last_seen"] < state.mapper.keyframe_count)
 
 
 def test_every_decision_is_a_row_with_its_scores_and_gates(logged: Logged) -> None:
