@@ -63,6 +63,8 @@ class Tracker:
         self._fix: PoseFix | None = None
         self._reference: PoseFix | None = None  # from which odometry predicts
         self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
+        self._before_slip: PoseFix | None = None  # reference before the last slip
+        self._since_slip = 0.0  # seconds
         self._since_fix: float | None = None  # seconds; None if no slip is possible
         self._clock, self._velocity = ScanClock(), VelocityFilter()
         self._untracked_in_a_row = 0
@@ -75,7 +77,7 @@ class Tracker:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
-        self._untracked_in_a_row, self._tentative = 0, None
+        self._untracked_in_a_row, self._tentative, self._before_slip = 0, None, None
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix in a part of the map that shows nothing yet."""
@@ -186,6 +188,9 @@ class Tracker:
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
         predictions = [usual] if self._since_fix is None else [usual, slip]
+        self._since_slip += interval
+        if self._before_slip is not None and self._since_slip < STEADY_SECONDS:
+            predictions.append(replace(self._by_odometry(self._before_slip, odometry), inertia=slip))
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
             predictions += [replace(self._by_odometry(self._tentative, odometry), inertia=even), even]
@@ -199,7 +204,7 @@ class Tracker:
         chosen, pose = match.points.prediction, match.points.pose
         contradicts = usual.squared_distance(pose) > KERNEL**2
         # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
-        resolved = self._tentative is not None and not contradicts
+        resolved = (self._tentative is not None or chosen is not slip) and not contradicts
         confirmed = not resolved and chosen is not usual and chosen is not slip
         slipped = (
             not resolved
@@ -233,6 +238,7 @@ class Tracker:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         self._fix, self._since_fix, self._untracked_in_a_row = fix, 0.0, 0
         if result.slipped or not self._model.measured:  # odometry continues from here
+            self._before_slip, self._since_slip = self._reference, 0.0
             self._reference = fix
 
     def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:

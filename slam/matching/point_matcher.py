@@ -63,6 +63,9 @@ SEARCH_DEVIATIONS = 3.0
 # has a scan a metre and turns 40 degrees between two scans.
 MAX_SEARCH_SHIFT = 1.5
 MAX_SEARCH_TURN = math.radians(60.0)  # Origin: as MAX_SEARCH_SHIFT.
+# Predictions from which on the poses around each are searched, as there is more doubt than usual. Origin: definition,
+# those of odometry, of a slip, and of odometry that has caught up; more if a pose is tentative.
+MAX_UNSEARCHED = 3
 # Points of a scan that are searched with. Origin: chosen, for speed; not measured.
 MAX_SEARCH_POINTS = 60
 
@@ -137,13 +140,13 @@ def match_points(
 ) -> list[PointMatch]:
     """Match points (p, 4) with normals, in the base's frame, to the field near each of several predicted poses.
 
-    Returns the matches, those with the lowest cost first. If the first of two predictions leads to a good match, the
-    poses around them are not searched. If `exhaustive`, they are searched anyway: most of a scan fits well at some
+    Returns the matches, those with the lowest cost first. If the first of up to MAX_UNSEARCHED predictions leads to a
+    good match, the poses around them are not searched. If `exhaustive`, they are searched anyway: most of a scan fits well at some
     poses that are a decimetre off, too. A prediction that cannot lead to a lower cost than an earlier one is not tried.
     """
     first = match_from(field, points, predictions[0].pose, predictions[0])
     searched = first.known >= MIN_KNOWN_POINTS if exhaustive else first.poor
-    if not searched and len(predictions) <= 2:
+    if not searched and len(predictions) <= MAX_UNSEARCHED:
         rivals = [rival for rival in predictions[1:] if rival.least_cost < first.cost]
         found = [first, *(match_from(field, points, rival.pose, rival) for rival in rivals)]
         return sorted(found, key=lambda match: match.cost)

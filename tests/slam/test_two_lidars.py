@@ -83,7 +83,7 @@ def test_scans_at_another_rate_are_joined(drive: list[Message], result: Finished
     slow = [m for m in drive if is_first(m) or round(m.stamp * 10.0) % 2]
     finished = run(slow)
     assert finished.summary["second_lidar"]["joined"] == pytest.approx(90, abs=2)
-    assert error(finished, drive) < 1.2 * error(result, drive)
+    assert error(finished, drive) < error(result, drive) + 0.001
 
 
 def test_two_lidars_without_odometry(drive: list[Message]) -> None:
@@ -141,4 +141,7 @@ def test_a_run_in_two_sessions(drive: list[Message], result: Finished, tmp_path:
         second.add(message)
     continued = second.finish()
     np.testing.assert_array_equal(continued.stamps, result.stamps)
-    assert continued.poses == pytest.approx(result.poses, abs=1e-5)
+    # The graph is solved anew; the final match of single scans enlarges the rounding errors.
+    np.testing.assert_array_equal(continued.keyframe_stamps, result.keyframe_stamps)
+    assert continued.keyframes == pytest.approx(result.keyframes, abs=1e-4)
+    assert continued.poses == pytest.approx(result.poses, abs=1e-3)

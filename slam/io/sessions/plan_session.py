@@ -38,7 +38,7 @@ def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
     last = len(views) - 1
     state = SlamState.restored(
         config,
-        np.zeros((0, 6)),
+        np.zeros((0, 8)),
         mapper,
         trajectory,
         stamps,

@@ -63,7 +63,7 @@ def test_systematic_errors_of_odometry_are_corrected() -> None:
     simulation, factor = spinning(), 1.1
     history, model = history_of(simulation, factor), OdometryModel(OdometryConfig())
     turns = np.column_stack([np.full(200, 0.1), np.zeros(200), np.full(200, 0.2)])
-    model.add_samples(np.hstack([turns * [1.0, 1.0, factor], turns]))
+    model.add_samples(np.hstack([turns * [1.0, 1.0, factor], turns, np.zeros((200, 2))]))
     assert largest_error(simulation, history, model) < 0.35 * largest_error(simulation, history)
 
 
