@@ -141,8 +141,9 @@ def match_points(
     """Match points (p, 4) with normals, in the base's frame, to the field near each of several predicted poses.
 
     Returns the matches, those with the lowest cost first. If the first of up to MAX_UNSEARCHED predictions leads to a
-    good match, the poses around them are not searched. If `exhaustive`, they are searched anyway: most of a scan fits well at some
-    poses that are a decimetre off, too. A prediction that cannot lead to a lower cost than an earlier one is not tried.
+    good match, the poses around them are not searched. If `exhaustive`, they are searched anyway: most of a scan fits
+    well at some poses that are a decimetre off, too. A prediction that cannot lead to a lower cost than an earlier one
+    is not tried.
     """
     first = match_from(field, points, predictions[0].pose, predictions[0])
     searched = first.known >= MIN_KNOWN_POINTS if exhaustive else first.poor
