@@ -5,7 +5,7 @@ the robot change the view as much as being carried does. So the state from befor
 well. In the right part of the map nearly each scan fits where odometry predicts it, elsewhere nearly none. The
 sequential test of Wald for two such probabilities p and 1 - p counts the scans that fit minus those that do not; it
 is decided at a margin n with an error probability of about ((1 - p) / p)^n. Scans count at the distance of keyframes:
-those of a robot that stands repeat each other.
+those of a robot that stands repeat each other. A test of a robot that stands ends like the monitoring of a closure.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..matching.point_matcher import MIN_KNOWN_POINTS
 from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
-from .closure_monitor import ClosureMonitor
+from .closure_monitor import MONITORED_SCANS, ClosureMonitor
 from .scan_update import extend_trajectory, track
 from .slam_state import SlamState
 from .stage_timer import StageTimer
@@ -41,12 +41,14 @@ class EarlierPart:
 
     def __init__(self, state: SlamState, monitor: ClosureMonitor) -> None:
         self.state, self.monitor = state, monitor
-        self._balance, self._travelled = 0, 0.0  # metres
+        self._balance, self._scans, self._travelled = 0, 0, 0.0  # metres
         self._counted: se2.Pose | None = None  # odometry at the last scan that was counted
 
     def add(self, scan: ProcessedScan) -> TrackingResult:
         """Track a scan in the earlier part."""
+        self._scans += 1
         tracking = track(self.state, scan, StageTimer())
+        self.state.untracked_scans = []  # no part begins with them
         extend_trajectory(self.state, scan.stamp, tracking)
         self.monitor.record(scan)
         self._count(_evidence(tracking), scan.odometry)
@@ -68,8 +70,8 @@ class EarlierPart:
 
     @property
     def left(self) -> bool:
-        """True if the robot is somewhere else by now, whether it was carried or not."""
-        return self._travelled > MAX_TEST_DISTANCE
+        """True if the robot is somewhere else by now, whether it was carried or not, or stands for long."""
+        return self._travelled > MAX_TEST_DISTANCE or self._scans > MONITORED_SCANS
 
 
 def _evidence(tracking: TrackingResult) -> int:

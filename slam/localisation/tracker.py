@@ -181,7 +181,10 @@ class Tracker:
         return self._view.differs_from(view, motion)
 
     def _predict(self, stamp: float, odometry: se2.Pose) -> list[Prediction]:
-        """Return the predictions of the pose: the usual one, that after a slip, and those from a tentative pose."""
+        """Return the predictions of the pose: the usual one first, and that after a slip second, if one is possible.
+
+        Then those of odometry that has caught up after the last slip, and of the motion from a tentative pose.
+        """
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
         interval = self._clock.interval(stamp)
@@ -237,8 +240,9 @@ class Tracker:
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         self._fix, self._since_fix, self._untracked_in_a_row = fix, 0.0, 0
-        if result.slipped or not self._model.measured:  # odometry continues from here
+        if result.slipped and self._model.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
+        if result.slipped or not self._model.measured:  # odometry continues from here
             self._reference = fix
 
     def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:

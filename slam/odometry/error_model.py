@@ -35,7 +35,7 @@ PRIOR_SAMPLES = 10
 SYSTEMATIC_SIGMAS = np.array([0.03, 0.05, 0.01])
 # Variance before any driving of the errors of single motions, relative to their length or turn, or radians per metre
 # squared. Origin: chosen, a centimetre or a degree in a motion of a decimetre or ten degrees.
-SPREAD = 0.1**2
+INITIAL_SPREAD = 0.1**2
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
 MIN_VARIANCE_RATE = 1e-8
@@ -122,10 +122,11 @@ class OdometryModel:
         self._estimate()
 
     def add_motion(self, measured: se2.Pose, registered: se2.Pose, information: Floats) -> None:
-        """Learn from a motion [x, y, heading] as measured by odometry and as found by registration.
+        """Learn from a motion [x, y, heading] as measured by odometry and as registered by the scans alone.
 
+        The registered motion must not contain odometry's: the errors learned before would confirm themselves.
         `information` (3, 3) is that of the registration at its end. If it leaves a direction undetermined, as along a
-        bare corridor, the registered motion is a copy of odometry there, and the motion is not used.
+        bare corridor, the motion is not used.
         """
         if not self._config.learn or wheel_travel(measured) < MIN_MOTION_TRAVEL:
             return
@@ -241,6 +242,7 @@ def _systematic_errors(samples):  # type: ignore[no-untyped-def]
     length, veer, straight = np.empty(count), np.empty(count), 0
     for k in range(count):
         ahead = samples[k, 0]
+        # Selected by the measured turn, as keyframes are by measured motions: so errors of registration select nothing.
         if abs(ahead) > MIN_MOTION_TRAVEL and abs(samples[k, 2]) <= MAX_STRAIGHT_TURN:
             length[straight] = samples[k, 3] / ahead - 1.0
             veer[straight] = wrap_angle(samples[k, 5] - samples[k, 2]) / ahead
@@ -285,13 +287,13 @@ def _posterior(values, sigma):  # type: ignore[no-untyped-def]
     """Return mean and variance of an error, from samples (n,) and the standard deviation `sigma` before them.
 
     The samples count by their median, whose variance is pi / 2 times that of a mean. The spread of few samples says
-    little about their variance: before any driving it is SPREAD, which counts for PRIOR_SAMPLES.
+    little about their variance: before any driving it is INITIAL_SPREAD, which counts for PRIOR_SAMPLES.
     """
     count = len(values)
     if not count:
         return 0.0, sigma**2
     median = np.median(values)
     spread = np.median((values - median) ** 2) / NORMAL_MEDIAN
-    spread = (PRIOR_SAMPLES * SPREAD + count * spread) / (PRIOR_SAMPLES + count)
+    spread = (PRIOR_SAMPLES * INITIAL_SPREAD + count * spread) / (PRIOR_SAMPLES + count)
     share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / count)
     return share * median, (1.0 - share) * sigma**2

@@ -50,26 +50,26 @@ class ScanRecords:
 def write_scans(file: Path, records: ScanRecords) -> None:
     """Write the table. Raises OSError."""
     count = len(records.scans)
-    values = _columns_of_values(records)
+    keyframes = _rows_of(np.array(records.keyframe_stamps), records.scans.stamps)
+    values = _columns_of_values(records, keyframes)
     ends = [*range(GROUP_ROWS, count, GROUP_ROWS), count]
     groups = (range(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
     write_row_groups(
         file,
         (
             {name: column[rows.start : rows.stop] for name, column in values.items()}
-            | dict[str, Column](_columns_of_lists(records, rows))
+            | dict[str, Column](_columns_of_lists(records, keyframes, rows))
             for rows in groups
         ),
     )
 
 
-def _columns_of_values(records: ScanRecords) -> dict[str, NDArray[np.generic]]:
-    """Return the columns with one value for each scan."""
+def _columns_of_values(records: ScanRecords, keyframes: Integers) -> dict[str, NDArray[np.generic]]:
+    """Return the columns with one value for each scan; `keyframes` are the rows of the keyframes' scans."""
     scans, count = records.scans, len(records.scans)
     stamps, odometry = scans.stamps, scans.odometry
     tracked_stamps, anchors, relative, informations = records.trajectory.relative_poses()
     tracked = _rows_of(tracked_stamps, stamps)
-    keyframes = _rows_of(np.array(records.keyframe_stamps), stamps)
     columns: dict[str, NDArray[np.generic]] = {"stamp": stamps}
     columns |= {f"odometry_{name}": odometry[:, k] for k, name in enumerate(("x", "y", "heading"))}
     columns["sweep_travel"] = scans.travel
@@ -83,19 +83,18 @@ def _columns_of_values(records: ScanRecords) -> dict[str, NDArray[np.generic]]:
     return columns | {"has_features": scans.has_features}
 
 
-def _columns_of_lists(records: ScanRecords, rows: range) -> dict[str, Ragged]:
-    """Return the columns with any number of values for each scan, of the scans `rows`."""
+def _columns_of_lists(records: ScanRecords, keyframes: Integers, rows: range) -> dict[str, Ragged]:
+    """Return the columns with any number of values for each scan, of the scans `rows`; `keyframes` as above."""
     scans = records.scans
     with_features = np.flatnonzero(scans.has_features[rows.start : rows.stop])
     features = feature_columns([scans.features(rows[row]) for row in with_features.tolist()], exact=False)
     columns = {name: _spread(column, with_features, len(rows)) for name, column in features.items()}
-    at = _rows_of(np.array(records.keyframe_stamps), scans.stamps)
-    first, last = np.searchsorted(at, [rows.start, rows.stop]).tolist()
+    first, last = np.searchsorted(keyframes, [rows.start, rows.stop]).tolist()
     for name, ids in (
         (SEGMENT_IDS, [ids.walls for ids in records.landmark_ids[first:last]]),
         (CORNER_IDS, [ids.corners for ids in records.landmark_ids[first:last]]),
     ):
-        columns[name] = _spread(to_ragged(ids, np.int32), at[first:last] - rows.start, len(rows))
+        columns[name] = _spread(to_ragged(ids, np.int32), keyframes[first:last] - rows.start, len(rows))
     return columns
 
 
