@@ -155,6 +155,12 @@ class LocalField:
         nearest = int(distances.argmin())
         return nearest if distances[nearest] < REFERENCE_DISTANCE else None
 
+    def missing_around(self, keyframe: int, travelled: Sequence[float]) -> Integers:
+        """Return the keyframes within REFERENCE_DISTANCE of one, along the drive, whose points are not in the field."""
+        ways = self.ways(travelled)
+        around = np.flatnonzero(np.abs(ways - ways[keyframe]) < REFERENCE_DISTANCE)
+        return around[~np.isin(around, self._inserted)]
+
     def update(self, keyframe: int, poses: Floats, travelled: Sequence[float]) -> None:
         """Insert new keyframes; build the field anew if the robot, at `keyframe`, is far from its middle.
 

@@ -1,0 +1,65 @@
+"""Links of keyframes of one place: only where the scan fits the old points at its pose in the map."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.estimation.loop_update import link_revisited
+from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.localisation.local_field import LocalField, LocalFieldState
+from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_points import ScanPoints
+
+NOTHING = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
+NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
+PASS = 8  # keyframes of each of two passes through a room
+
+
+def room(pose: se2.Pose) -> ScanFeatures:
+    """Return the points of a scan in a room of 6 by 4 metres with a niche."""
+    corners = np.array([[0, 0], [6, 0], [6, 4], [4, 4], [4, 5], [3, 5], [3, 4], [0, 4], [0, 0]], dtype=np.float64)
+    sides = [np.linspace(a, b, int(np.hypot(*(b - a)) / 0.05), endpoint=False) for a, b in pairwise(corners)]
+    points = se2.transform(se2.inverse(pose), np.concatenate(sides))
+    return ScanFeatures(NOTHING, NO_CORNERS, ScanPoints(points, np.zeros((0, 2))))
+
+
+def linked(error: Floats) -> bool:
+    """Return True if the last keyframe of a second pass is linked, whose poses in the map are wrong by `error`."""
+    one_pass = np.column_stack([np.linspace(1.0, 3.0, PASS), np.full(PASS, 2.0), np.zeros(PASS)])
+    true = np.concatenate([one_pass, one_pass])
+    poses = true + np.repeat([np.zeros(3), error], PASS, axis=0)
+    field, travelled = LocalField(), np.concatenate([np.linspace(0.0, 2.0, PASS), np.linspace(60.0, 62.0, PASS)])
+    for pose in true:
+        field.add(room(pose))
+    field.restore(LocalFieldState(poses[-1, :2], (), {}, range(PASS, 2 * PASS), poses[PASS:]))  # of the second pass
+    covariances = SimpleNamespace(relative_bound=lambda *_, **__: 1e-4 * np.eye(3))
+    parts = SimpleNamespace(connected=lambda keyframes: np.ones(len(keyframes), dtype=bool))
+    mapper: Any = SimpleNamespace(
+        keyframe_poses=poses,
+        keyframe_count=len(poses),
+        travelled=travelled.tolist(),
+        covariances=covariances,
+        landmarks=SimpleNamespace(parts=parts),
+    )
+    state: Any = SimpleNamespace(mapper=mapper, local_field=field)
+    link_revisited(state)
+    return bool(field.state.links)
+
+
+def test_a_new_keyframe_is_linked_with_an_old_one_of_the_same_place() -> None:
+    assert linked(np.zeros(3))
+
+
+@pytest.mark.parametrize("error", [[0.3, 0.0, 0.0], [0.0, -0.25, 0.0], [0.2, 0.2, 0.02]])
+def test_a_keyframe_that_fits_the_old_points_elsewhere_is_not_linked(error: list[float]) -> None:
+    assert not linked(np.array(error))
+
+
+def test_a_small_error_is_left_to_tracking() -> None:
+    assert linked(np.array([0.02, -0.02, 0.01]))
