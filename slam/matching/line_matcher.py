@@ -21,6 +21,7 @@ from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import solve
 from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField, add_points
+from .offset_tiles import MAX_DISTANCE
 from .point_matcher import FINE_SIGMA, move_back, pose_error
 from .scan_points import ScanPoints, segments_of
 
@@ -38,6 +39,9 @@ MATCH_END_MARGIN = 0.5
 # Scale of the Cauchy kernel, standard deviations: an observation this far off has half weight.
 # Origin: chosen, the usual range of robust kernels; not measured.
 MATCH_CAUCHY_SCALE = 3.0
+# Information (3, 3) that holds the pose by points alone near the pose by everything, where their distances are linear;
+# far below that of points which determine a direction. Origin: definition, MAX_DISTANCE, and that at 4 m.
+NEARBY = np.diag(np.array([MAX_DISTANCE, MAX_DISTANCE, MAX_DISTANCE / 4.0]) ** -2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +170,8 @@ def _register(  # type: ignore[no-untyped-def]
         total = information + point_information + prior
         point_pose[:] = pose
         move_back(pose, solve(total, gradient + point_gradient + prior @ pose_error(prediction, pose)))
-    move_back(point_pose, solve(point_information + prior, point_gradient))  # from where it is linearised
+    # From where it is linearised, and without the prior: odometry has a factor of its own in the graph.
+    move_back(point_pose, solve(point_information + NEARBY, point_gradient))
     return pose, information, point_information, point_pose, overlaps.sum()
 
 
