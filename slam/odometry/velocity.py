@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -76,20 +78,31 @@ class ScanClock:
     turned evenly meanwhile, so the mean of the latest intervals is used then. If most scans are in bursts, the median
     is no period of a lidar either.
 
-    last       stamp of the last scan; None before the first
-    intervals  latest differences of stamps
+    last  stamp of the last scan; None before the first
     """
 
     def __init__(self, last: float | None = None, intervals: Sequence[float] = ()) -> None:
-        self.last, self.intervals = last, tuple(intervals)
+        self.last, self._latest, self._ordered = last, deque(intervals), sorted(intervals)
+
+    @property
+    def intervals(self) -> tuple[float, ...]:
+        """Latest differences of stamps."""
+        return tuple(self._latest)
 
     def interval(self, stamp: float) -> float:
         """Return the seconds from the last scan to one at `stamp`, which becomes the last; 0 for the first."""
         last, self.last = self.last, stamp
         if last is None:
             return 0.0
-        self.intervals = (*self.intervals, stamp - last)[-PERIOD_SAMPLES:]
-        ordered = sorted(self.intervals)
+        self._add(stamp - last)
+        ordered = self._ordered
         period = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
         in_bursts = period < MIN_PERIOD or ordered[0] < MIN_INTERVAL * period
         return sum(ordered) / len(ordered) if in_bursts else max(stamp - last, period)
+
+    def _add(self, interval: float) -> None:
+        """Add an interval to the latest ones, which are kept in order too: to sort them for each scan takes longer."""
+        self._latest.append(interval)
+        insort(self._ordered, interval)
+        if len(self._latest) > PERIOD_SAMPLES:
+            del self._ordered[bisect_left(self._ordered, self._latest.popleft())]
