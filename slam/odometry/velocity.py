@@ -20,6 +20,7 @@ ACCELERATIONS = np.array([1.0, 1.0, 3.0])
 # Velocities that no indoor robot exceeds, as standard deviations: the uncertainty does not grow beyond them.
 # Origin: chosen, metres and radians per second.
 MAX_VELOCITIES = np.array([1.0, 1.0, 2.0])
+MAX_VARIANCES = MAX_VELOCITIES**2  # Origin: definition.
 # Latest intervals between scans of which the median is the lidar's period, or the mean if they come in bursts.
 # Origin: chosen, longer than the bursts of a computer that is busy for some seconds; not measured.
 PERIOD_SAMPLES = 101
@@ -43,12 +44,13 @@ class VelocityFilter:
 
     def __init__(self, velocity: Floats | None = None, variances: Floats | None = None) -> None:
         self.velocity = np.zeros(3) if velocity is None else velocity
-        self.variances = MAX_VELOCITIES**2 if variances is None else variances
+        self.variances = MAX_VARIANCES if variances is None else variances
 
     def motion(self, seconds: float) -> se2.Pose:
         """Return the motion [x, y, heading] within some seconds, along an arc."""
         arc = self.velocity * seconds
-        return with_turn(np.array([*arc[:2], 0.0]), arc[2])
+        turn, arc[2] = float(arc[2]), 0.0
+        return with_turn(arc, turn)
 
     def deviations(self, seconds: float) -> Floats:
         """Return (3,) the standard deviations of a motion within some seconds, metres and radians."""
@@ -61,14 +63,15 @@ class VelocityFilter:
         """
         self.variances = self._predicted_variances(seconds)
         if motion is not None:
-            noise = 2.0 * np.diag(covariance) / seconds**2  # of the poses at both ends
+            noise = 2.0 * covariance.diagonal() / seconds**2  # of the poses at both ends
             gain = self.variances / (self.variances + noise)
-            arc = np.array([*with_turn(motion, 0.0)[:2], motion[2]])
+            arc = with_turn(motion, 0.0)
+            arc[2] = motion[2]
             self.velocity = self.velocity + gain * (arc / seconds - self.velocity)
             self.variances = (1.0 - gain) * self.variances
 
     def _predicted_variances(self, seconds: float) -> Floats:
-        return np.asarray(np.minimum(self.variances + (ACCELERATIONS * seconds) ** 2, MAX_VELOCITIES**2))
+        return np.asarray(np.minimum(self.variances + (ACCELERATIONS * seconds) ** 2, MAX_VARIANCES))
 
 
 class ScanClock:
