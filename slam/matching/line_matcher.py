@@ -20,7 +20,8 @@ from ..geometry.angles import axes_of, wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import solve
 from ..mapping.local_map import LocalMap
-from .distance_field import DistanceField, add_points
+from .distance_field import DistanceField
+from .interpolation import add_points
 from .point_matcher import FINE_SIGMA, move_back, pose_error
 from .scan_points import ScanPoints, segments_of
 
