@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +20,18 @@ if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrder, BeamOrderTest
     from ..timing.delay import Delay
     from ..timing.turns import Turns
+
+MAX_KEPT_BYTES = 1 << 26
+"""Bytes of the arrays of scans up to which the messages of a survey are kept for the next iteration: most recordings of
+an hour indoors. Larger ones are read again."""
+
+
+@dataclass(slots=True, eq=False)
+class _Survey:
+    """Messages of a recording that were read before the iteration that yields them, and the report of reading them."""
+
+    messages: deque[Message]
+    report: SourceReport
 
 
 class RecordingReader(ABC):
@@ -37,6 +51,7 @@ class RecordingReader(ABC):
         self.name = self.path.name
         self.report = SourceReport()
         self.beam_order: BeamOrder = "auto"
+        self._survey: _Survey | None = None
         if not self.path.exists():
             raise RecordingError(self.path, None, "no such file or directory")
 
@@ -44,8 +59,9 @@ class RecordingReader(ABC):
         """Yield the messages from the beginning, with non-decreasing stamps."""
         frozen = FrozenOdometryDetector()
         beams_reversed = self.beams_reversed
-        self.report = report = SourceReport()
-        for message in self._messages():
+        messages = self._first_or_new_messages()
+        report = self.report
+        for message in messages:
             report.messages += 1
             frozen.add(message)
             yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
@@ -99,12 +115,32 @@ class RecordingReader(ABC):
         return Turns(self._survey_messages())
 
     def _survey_messages(self) -> Iterator[Message]:
-        """Yield the messages as they are recorded, without an entry in the report."""
+        """Yield the messages as they are recorded, without an entry in the report.
+
+        If all of them have been yielded, the next iteration does not read them again, up to MAX_KEPT_BYTES.
+        """
         report, self.report = self.report, SourceReport()
+        kept, size = deque[Message](), 0
         try:
-            yield from self._messages()
+            for message in self._messages():
+                if isinstance(message, Scan):
+                    size += message.ranges.nbytes + message.angles.nbytes + message.time_offsets.nbytes
+                kept.append(message)
+                if size > MAX_KEPT_BYTES:
+                    kept.clear()
+                yield message
+            self._survey = _Survey(kept, self.report) if size <= MAX_KEPT_BYTES else None
         finally:
             self.report = report
+
+    def _first_or_new_messages(self) -> Iterator[Message]:
+        """Return the messages of the survey, if there is one that was not used yet, or read them."""
+        survey, self._survey = self._survey, None
+        if survey is None:
+            self.report = SourceReport()
+            return self._messages()
+        self.report = survey.report
+        return _taken_from(survey.messages)
 
     def _messages(self) -> Iterator[Message]:
         """Yield the messages as they are recorded. Raises RecordingError if there is neither a scan nor odometry."""
@@ -153,3 +189,9 @@ class RecordingReader(ABC):
     def _empty_reason(self) -> str:
         """Return the error text for a recording without a usable message."""
         return "contains no laser scan and no odometry"
+
+
+def _taken_from(messages: deque[Message]) -> Iterator[Message]:
+    """Yield messages and drop each of them, so that memory is free for what is made of them."""
+    while messages:
+        yield messages.popleft()

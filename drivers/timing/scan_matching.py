@@ -12,15 +12,12 @@ likelihood of scale s admits points that only one of the scans has seen.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import se2
 from ..messages import Floats, Scan
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 # Radians, width of a direction bin in the search for the rotation.
 # Origin: chosen, at 5 m it is 10 cm, from where iterated closest points converge; not measured.
@@ -50,11 +47,21 @@ REGULARISATION = 1e-9 * np.eye(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Points of a scan with normals, as reference of a match: all (n, 2), unit normals; a search tree of the points."""
+    """Points of a scan with normals, as reference of a match: all (n, 2), unit normals."""
 
     points: Floats
     normals: Floats
-    tree: cKDTree
+
+    def nearest(self, points: Floats) -> tuple[Floats, NDArray[np.int64]]:
+        """Return (m,) the squared distances from points (m, 2) to the nearest ones of the surface, and their rows (m,).
+
+        Of |p - q|^2 = |p|^2 - 2 p . q + |q|^2 only the last two terms depend on the point q of the surface. For the
+        some hundred points of a scan this takes as long as a search tree, which takes longer to import.
+        """
+        x, y = self.points.T
+        rows = np.argmin(x * x + y * y - points @ (2.0 * self.points).T, axis=1)
+        away = points - self.points[rows]
+        return away[:, 0] ** 2 + away[:, 1] ** 2, rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,9 +111,7 @@ def surface(points: Floats) -> Surface | None:
     smooth[:NORMAL_SPAN] = smooth[-NORMAL_SPAN:] = False
     if np.count_nonzero(smooth) < MIN_CORRESPONDENCES:
         return None
-    from scipy.spatial import cKDTree  # only here: recordings without turns need none
-
-    return Surface(points[smooth], normals[smooth], cKDTree(points[smooth]))
+    return Surface(points[smooth], normals[smooth])
 
 
 def find_rotation(scan: Scan, reference: Scan) -> float:
@@ -138,8 +143,8 @@ def match(points: Floats, reference: Surface, guess: se2.Pose) -> Match | None:
     pose, reach = np.array(guess, dtype=np.float64), FIRST_REACH
     for _ in range(MAX_ITERATIONS):
         placed = se2.transform(pose, points)
-        distance, nearest = reference.tree.query(placed, distance_upper_bound=reach)
-        found = np.flatnonzero(np.isfinite(distance))
+        squared_distance, nearest = reference.nearest(placed)
+        found = np.flatnonzero(squared_distance < reach**2)
         if len(found) < MIN_CORRESPONDENCES:
             return None
         placed, nearest = placed[found], nearest[found]

@@ -32,13 +32,12 @@ def segments_from_lines(lines: Lines, mount: se2.Pose) -> Segments:
     """
     # contiguous, as columns of a table would be compiled for separately
     uv, start, end, of_uv = (array.copy() for array in (lines.uv, lines.start, lines.end, lines.covariance))
-    frame, half_length, covariance, in_lidar_frame = _segments(uv, start, end, of_uv, tuple(mount.tolist()))
-    return Segments(frame, half_length, covariance, _bias_slopes(in_lidar_frame, half_length))
+    return Segments(*_segments(uv, start, end, of_uv, tuple(mount.tolist())))
 
 
 @compiled
 def _segments(uv, starts, ends, covariances, mount):  # type: ignore[no-untyped-def]
-    """Return frames, half lengths and covariances of segments, and their frames in the lidar's frame."""
+    """Return the fields of `Segments`."""
     count = len(uv)
     frame, in_lidar_frame = np.empty((count, 3)), np.empty((count, 3))
     half_length, covariance = np.empty(count), np.empty((count, 2, 2))
@@ -58,7 +57,7 @@ def _segments(uv, starts, ends, covariances, mount):  # type: ignore[no-untyped-
         covariance[k, 1, 1] = turn_u * turn_u * uu + 2.0 * turn_u * turn_v * mixed + turn_v * turn_v * vv
         both = of_u * turn_u * uu + (of_u * turn_v + of_v * turn_u) * mixed + of_v * turn_v * vv
         covariance[k, 0, 1] = covariance[k, 1, 0] = both
-    return frame, half_length, covariance, in_lidar_frame
+    return frame, half_length, covariance, _bias_slopes(in_lidar_frame, half_length)
 
 
 @compiled
@@ -91,8 +90,24 @@ def _bias_slopes(frames, half_lengths):  # type: ignore[no-untyped-def]
 
 def corner_points(corners: Corners, segments: Segments, mount: se2.Pose) -> CornerPoints:
     """Transform corners from the lidar's frame to the base's; `mount` is the lidar's pose in the base's frame."""
-    c, s = np.cos(mount[2]), np.sin(mount[2])
-    rotation = np.array([[c, -s], [s, c]])
-    position = se2.transform(mount, corners.position).reshape(-1, 2)
-    headings = segments.frame[corners.lines, 2].reshape(-1, 2)
-    return CornerPoints(position, rotation @ corners.covariance @ rotation.T, corners.lines, headings)
+    # contiguous, as columns of a table would be compiled for separately
+    position, covariance = corners.position.copy(), corners.covariance.copy()
+    placed = _corners(position, covariance, corners.lines, segments.frame, tuple(mount.tolist()))
+    return CornerPoints(placed[0], placed[1], corners.lines, placed[2])
+
+
+@compiled
+def _corners(positions, covariances, lines, frames, mount):  # type: ignore[no-untyped-def]
+    """Return positions and covariances R C R' of corners in the base's frame, and the headings of their segments."""
+    count = len(positions)
+    position, covariance, headings = np.empty((count, 2)), np.empty((count, 2, 2)), np.empty((count, 2))
+    c, s = math.cos(mount[2]), math.sin(mount[2])
+    for k in range(count):
+        x, y = positions[k]
+        position[k, 0], position[k, 1] = mount[0] + c * x - s * y, mount[1] + s * x + c * y
+        xx, mixed, yy = covariances[k, 0, 0], covariances[k, 0, 1], covariances[k, 1, 1]
+        covariance[k, 0, 0] = c * c * xx - 2.0 * c * s * mixed + s * s * yy
+        covariance[k, 1, 1] = s * s * xx + 2.0 * c * s * mixed + c * c * yy
+        covariance[k, 0, 1] = covariance[k, 1, 0] = c * s * (xx - yy) + (c * c - s * s) * mixed
+        headings[k, 0], headings[k, 1] = frames[lines[k, 0], 2], frames[lines[k, 1], 2]
+    return position, covariance, headings

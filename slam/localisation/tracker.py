@@ -193,10 +193,10 @@ class Tracker:
         predictions = [usual] if self._since_fix is None else [usual, slip]
         self._since_slip += interval
         if self._before_slip is not None and self._since_slip < STEADY_SECONDS:
-            predictions.append(replace(self._by_odometry(self._before_slip, odometry), inertia=slip))
+            predictions.append(self._by_odometry(self._before_slip, odometry, slip))
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
-            predictions += [replace(self._by_odometry(self._tentative, odometry), inertia=even), even]
+            predictions += [self._by_odometry(self._tentative, odometry, even), even]
         return predictions
 
     def _judge(
@@ -249,23 +249,24 @@ class Tracker:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
         assert self._reference is not None
-        usual = self._by_odometry(self._reference, odometry)
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, SLIP_COST)
         if not self._model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
-            slip = replace(slip, information=np.diag((PREDICTION_SIGMAS + MAX_VELOCITIES * interval) ** -2.0))
-        elif self._since_fix is not None:
-            usual = replace(usual, inertia=slip)
-        return usual, slip
+            slip = replace(slip, information=_information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
+        inertia = slip if self._model.measured and self._since_fix is not None else None
+        return self._by_odometry(self._reference, odometry, inertia), slip
 
-    def _by_odometry(self, reference: PoseFix, odometry: se2.Pose) -> Prediction:
+    def _by_odometry(self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None) -> Prediction:
         """Return the prediction if the robot has moved from the reference as odometry says."""
-        return Prediction(self._extrapolate(reference, odometry), self._information(reference, odometry))
+        motion = reference.odometry_motion(odometry)
+        pose = se2.compose(reference.pose, self._model.correct(motion))
+        information = inverse(self._model.covariance(motion) + PREDICTION_COVARIANCE)
+        return Prediction(pose, information, inertia=inertia)
 
     def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:
         """Return the prediction some seconds after `pose` if the robot moves on as it did, whatever odometry says."""
         sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
         steady = min(seconds, STEADY_SECONDS) if self._model.measured else seconds
-        return Prediction(se2.compose(pose, self._velocity.motion(steady)), np.diag(sigmas**-2.0), cost)
+        return Prediction(se2.compose(pose, self._velocity.motion(steady)), _information_of(sigmas), cost)
 
     def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool, abrupt: bool) -> TrackingResult:
         prior = match.points.prediction.information
@@ -287,10 +288,12 @@ class Tracker:
     def _extrapolate(self, fix: PoseFix, odometry: se2.Pose) -> se2.Pose:
         return se2.compose(fix.pose, self._model.correct(fix.odometry_motion(odometry)))
 
-    def _information(self, reference: PoseFix, odometry: se2.Pose) -> Floats:
-        """Return the information (3, 3) of the pose predicted from the reference, in the base's frame."""
-        covariance = self._model.covariance(reference.odometry_motion(odometry)) + PREDICTION_COVARIANCE
-        return np.asarray(inverse(covariance))
+
+def _information_of(sigmas: Floats) -> Floats:
+    """Return the information (3, 3) of a pose whose components have the standard deviations `sigmas` (3,)."""
+    information = np.zeros((3, 3))
+    information.flat[::4] = sigmas**-2.0
+    return information
 
 
 def _too_few_features(scan: ScanFeatures) -> bool:

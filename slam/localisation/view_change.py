@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
@@ -61,12 +62,16 @@ class View:
     @property
     def near(self) -> Floats:
         """Points (p, 2) that are compared."""
-        return self.points[np.hypot(self.points[:, 0], self.points[:, 1]) < COMPARED_RADIUS]
+        return self.points[self._is_near]
+
+    @property
+    def _is_near(self) -> NDArray[np.bool_]:
+        return np.asarray(np.hypot(self.points[:, 0], self.points[:, 1]) < COMPARED_RADIUS)
 
     @property
     def comparable(self) -> bool:
         """True if the scan has enough points for a comparison."""
-        return len(self.near) >= MIN_POINTS
+        return bool(np.count_nonzero(self._is_near) >= MIN_POINTS)
 
     def differs_from(self, other: View, motion: se2.Pose) -> bool:
         """Return True if another view, after a `motion` [x, y, heading] from this one, shows another place.

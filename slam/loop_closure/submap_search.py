@@ -109,12 +109,10 @@ def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, reach: floa
     reach       metres that are searched ahead, behind and beside it
     turn        radians that are searched to either side
     """
-    from scipy.ndimage import minimum_filter  # only here: short drives search for nothing
-
     reach, turn = max(SEARCH_STEP, reach), min(math.pi, max(SEARCH_TURN_STEP, turn))
     few = np.ascontiguousarray(subsample(submap.points, MAX_SEARCH_POINTS))  # strided: compiled for separately
     costs = _grid_costs(old.field.arrays, few, prediction, reach, turn)
-    low = np.flatnonzero(costs == minimum_filter(costs, size=3, mode="nearest"))
+    low = np.flatnonzero(costs == _lowest_around(costs))
     low = low[np.argsort(costs.ravel()[low], kind="stable")[:MAX_REFINED]]
     turns, steps = (costs.shape[0] - 1) // 2, (costs.shape[1] - 1) // 2
     some, of_old = (
@@ -131,6 +129,18 @@ def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, reach: floa
         if all(are_distinct(match.pose, other.pose) for other in found):
             found.append(_judge(submap, old, match.pose, match.information))
     return sorted(found, key=lambda match: -match.score)
+
+
+def _lowest_around(costs: Floats) -> Floats:
+    """Return the lowest cost (k, n, n) among each pose of a grid and its neighbours, diagonal ones too."""
+    lowest = costs
+    for axis in range(costs.ndim):
+        along = np.moveaxis(lowest, axis, 0)
+        lowest = np.moveaxis(along.copy(), 0, axis)
+        result = np.moveaxis(lowest, axis, 0)
+        np.minimum(result[1:], along[:-1], out=result[1:])
+        np.minimum(result[:-1], along[1:], out=result[:-1])
+    return lowest
 
 
 def _screen(

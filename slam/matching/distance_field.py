@@ -24,7 +24,6 @@ from ..geometry.segments import Floats
 from .offset_tiles import (
     FIELD_CELL,
     MAX_DISTANCE,
-    NO_OFFSET,
     SPAN,
     OffsetTiles,
     enter_point,
@@ -215,85 +214,3 @@ def nearest_distance(field, grid, x, y):  # type: ignore[no-untyped-def]
         return MAX_DISTANCE
     dx, dy = metres(offset_at(tile_of, tiles, grid, row, column))
     return min(MAX_DISTANCE, math.sqrt(dx * dx + dy * dy))
-
-
-@inlined
-def interpolate(field, grid, x, y):  # type: ignore[no-untyped-def]
-    """Return the vector (metres) from the nearest point to (x, y), in cells, and False if there is no point.
-
-    It is interpolated between those from the points that are nearest to the four cells around, so that it is linear
-    near a surface. Those from another surface, on the other side, are left out.
-    """
-    _, tile_of, tiles, seen = field
-    i, j, last = math.floor(x - 0.5), math.floor(y - 0.5), SEEN_CELLS * len(seen) - 1
-    if i < 0 or j < 0 or i >= last or j >= last:
-        return 0.0, 0.0, False
-    row, column = math.floor(x), math.floor(y)
-    nearest = offset_at(tile_of, tiles, grid, row, column)
-    if nearest == NO_OFFSET:
-        return 0.0, 0.0, False
-    near_x, near_y = metres(nearest)
-    near_x, near_y = near_x + FIELD_CELL * (x - row - 0.5), near_y + FIELD_CELL * (y - column - 0.5)
-    sum_x, sum_y, total = 0.0, 0.0, 0.0
-    for k in range(4):
-        row, column = i + (k >> 1), j + (k & 1)
-        offset = offset_at(tile_of, tiles, grid, row, column)
-        dx, dy = metres(offset)
-        dx, dy = dx + FIELD_CELL * (x - row - 0.5), dy + FIELD_CELL * (y - column - 0.5)
-        other_side = (dx * near_x + dy * near_y < 0.0) & (dx * dx + dy * dy > FIELD_CELL * FIELD_CELL)
-        weight = (1.0 - abs(x - row - 0.5)) * (1.0 - abs(y - column - 0.5))
-        weight = 0.0 if (offset == NO_OFFSET) | other_side else weight
-        sum_x, sum_y, total = sum_x + weight * dx, sum_y + weight * dy, total + weight
-    return sum_x / total, sum_y / total, True
-
-
-@compiled
-def add_points(pose, points, field, sigma, information, gradient):  # type: ignore[no-untyped-def]
-    """Set the normal equations of points (p, 4) with normals, in the base's frame, with the base at `pose`.
-
-    Each point measures the offset from the nearest point of the field along its normal, or along both axes if it has
-    none. The offset is zero with standard deviation `sigma` (metres) and a Cauchy kernel of the same scale. Points in
-    unseen cells are left out: what is seen for the first time, such as the continuation of a wall, is near known points
-    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes.
-    """
-    origin, seen = field[0], field[3]
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for k in range(len(points)):
-        lever_x, lever_y = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
-        x, y = (pose[0] + lever_x - origin[0]) / FIELD_CELL, (pose[1] + lever_y - origin[1]) / FIELD_CELL
-        if not is_seen(seen, x, y):
-            continue
-        normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
-        grid = facing_grid(normal_x, normal_y)
-        dx, dy, found = interpolate(field, grid, x, y)
-        if not found:
-            continue
-        weight = 1.0 / (sigma * sigma + dx * dx + dy * dy)
-        if grid != ALL_POINTS:
-            sums = _add_row(sums, points[k], normal_x, normal_y, c, s, weight, normal_x * dx + normal_y * dy)
-        else:
-            sums = _add_row(sums, points[k], 1.0, 0.0, c, s, weight, dx)
-            sums = _add_row(sums, points[k], 0.0, 1.0, c, s, weight, dy)
-    gradient[0], gradient[1], gradient[2] = sums[:3]
-    information[0, 0], information[1, 1], information[2, 2] = sums[3:6]
-    information[0, 1], information[0, 2], information[1, 2] = sums[6:]
-    information[1, 0], information[2, 0], information[2, 1] = sums[6:]
-
-
-@inlined
-def _add_row(sums, point, x, y, c, s, weight, residual):  # type: ignore[no-untyped-def]
-    """Add one equation to the sums: the point is `residual` metres off along the unit vector (x, y) of the map."""
-    forward, left = c * x + s * y, -s * x + c * y
-    turn = point[0] * left - point[1] * forward
-    return (
-        sums[0] + weight * residual * forward,
-        sums[1] + weight * residual * left,
-        sums[2] + weight * residual * turn,
-        sums[3] + weight * forward * forward,
-        sums[4] + weight * left * left,
-        sums[5] + weight * turn * turn,
-        sums[6] + weight * forward * left,
-        sums[7] + weight * forward * turn,
-        sums[8] + weight * left * turn,
-    )

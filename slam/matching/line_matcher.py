@@ -7,20 +7,20 @@ point is used once: those on segments that are paired with walls count by these,
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled
 
-from ..geometry.angles import axes_of, wrap_angle
+from ..geometry.angles import axes_of
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import solve
 from ..mapping.local_map import LocalMap
-from .distance_field import DistanceField, add_points
+from .distance_field import DistanceField
+from .interpolation import add_points
+from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE
 from .point_matcher import FINE_SIGMA, move_back, pose_error
 from .scan_points import ScanPoints, segments_of
@@ -30,15 +30,6 @@ from .scan_points import ScanPoints, segments_of
 MATCH_OFFSET_GATES = np.array([0.40, 0.40, 0.30, 0.20, 0.15, 0.10, 0.10, 0.10])
 # Radians between a wall and a segment, for each Gauss-Newton step. Origin: tuned on Intel, fr079, CSAIL.
 MATCH_HEADING_GATES = np.radians([10.0, 10.0, 9.0, 7.0, 6.0, 5.0, 5.0, 5.0])
-# Radians between the walls of an observed corner and those of a map corner.
-# Origin: chosen, twice the widest heading gate of segments; not measured.
-CORNER_HEADING_GATE = math.radians(20.0)
-# Metres beyond the known end of a wall in which a segment still overlaps with it.
-# Origin: chosen, walls continue beyond what was seen of them; not measured.
-MATCH_END_MARGIN = 0.5
-# Scale of the Cauchy kernel, standard deviations: an observation this far off has half weight.
-# Origin: chosen, the usual range of robust kernels; not measured.
-MATCH_CAUCHY_SCALE = 3.0
 # Information (3, 3) that holds the pose by points alone near the pose by everything, where their distances are linear;
 # far below that of points which determine a direction. Origin: definition, MAX_DISTANCE, and that at 4 m.
 NEARBY = np.diag(np.array([MAX_DISTANCE, MAX_DISTANCE, MAX_DISTANCE / 4.0]) ** -2.0)
@@ -75,32 +66,6 @@ class ScanFeatures:
     segments: Segments
     corners: CornerPoints
     points: ScanPoints
-
-
-class _SegmentArrays(NamedTuple):
-    """Arrays of `Segments`."""
-
-    frame: Floats
-    half_length: Floats
-    covariance: Floats
-
-
-class _CornerArrays(NamedTuple):
-    """Arrays of the corners of a scan or of the map: position (n, 2), headings (n, 2), covariance (n, 2, 2)."""
-
-    position: Floats
-    headings: Floats
-    covariance: Floats
-
-
-class _WallArrays(NamedTuple):
-    """Arrays of the walls of a `LocalMap`; axis (n, 2) is the unit vector along each."""
-
-    frame: Floats
-    axis: Floats
-    low: Floats
-    high: Floats
-    covariance: Floats
 
 
 def register(
@@ -152,8 +117,8 @@ def _register(  # type: ignore[no-untyped-def]
     start, prediction, prior, segments, corners, points, walls, map_corners, field, roughness
 ):
     """Run Gauss-Newton; return the fields of `Registration`, the length on known walls instead of the ratio."""
-    scan_segments, scan_corners = _SegmentArrays(*segments), _CornerArrays(*corners)
-    map_walls, known_corners = _WallArrays(*walls), _CornerArrays(*map_corners)
+    scan_segments, scan_corners = SegmentArrays(*segments), CornerArrays(*corners)
+    map_walls, known_corners = WallArrays(*walls), CornerArrays(*map_corners)
     all_points, segment_of = points
     information, point_information = np.zeros((3, 3)), np.zeros((3, 3))
     gradient, point_gradient = np.zeros(3), np.zeros(3)
@@ -161,10 +126,8 @@ def _register(  # type: ignore[no-untyped-def]
     for step in range(len(MATCH_OFFSET_GATES)):
         offset_gate, heading_gate = MATCH_OFFSET_GATES[step], MATCH_HEADING_GATES[step]
         information[:], gradient[:] = 0.0, 0.0
-        _add_walls(
-            pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient
-        )
-        _add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
+        add_walls(pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient)
+        add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
         others = _without_matched(all_points, segment_of, overlaps)
         add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient)
         total = information + point_information + prior
@@ -184,121 +147,3 @@ def _without_matched(points, segment_of, overlaps):  # type: ignore[no-untyped-d
             kept[count] = points[k]
             count += 1
     return kept[:count]
-
-
-@compiled
-def _add_walls(  # type: ignore[no-untyped-def]
-    pose, segments, walls, roughness, offset_gate, heading_gate, overlaps, information, gradient
-):
-    """Pair each segment with the nearest wall inside the gates and add its normal equations.
-
-    Sets `overlaps`, the length in metres of each segment that lies on its wall, zero if there is none; weighted down by
-    up to half of it near the gates' limits.
-    """
-    frames = segments.frame
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for i in range(len(frames)):
-        lever_x, lever_y = c * frames[i, 0] - s * frames[i, 1], s * frames[i, 0] + c * frames[i, 1]
-        match, best, overlap, offset, turn, along = _match_segment(
-            pose[0] + lever_x, pose[1] + lever_y, pose[2] + frames[i, 2], segments.half_length[i],
-            walls, offset_gate, heading_gate,
-        )  # fmt: skip
-        overlaps[i] = overlap * (1.0 - 0.25 * best)
-        if match < 0:
-            continue
-        wyy, wyt, wtt = _wall_weights(
-            segments.covariance[i], segments.half_length[i], walls.covariance[match], along, roughness
-        )
-        chi2 = wyy * offset * offset + 2 * wyt * offset * turn + wtt * turn * turn
-        weight = 1.0 / (1.0 + chi2 / (MATCH_CAUCHY_SCALE * MATCH_CAUCHY_SCALE))
-        wyy, wyt, wtt = weight * wyy, weight * wyt, weight * wtt
-        # derivatives of the offset with respect to moving forward, left, and turning
-        wc, ws = walls.axis[match, 0], walls.axis[match, 1]
-        j0, j1, j2 = wc * s - ws * c, wc * c + ws * s, wc * lever_x + ws * lever_y
-        residual = wyy * offset + wyt * turn
-        gradient[0] += j0 * residual
-        gradient[1] += j1 * residual
-        gradient[2] += j2 * residual + wyt * offset + wtt * turn
-        information[0, 0] += wyy * j0 * j0
-        information[1, 1] += wyy * j1 * j1
-        information[2, 2] += wyy * j2 * j2 + 2 * wyt * j2 + wtt
-        information[0, 1] += wyy * j0 * j1
-        information[0, 2] += j0 * (wyy * j2 + wyt)
-        information[1, 2] += j1 * (wyy * j2 + wyt)
-    information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
-
-
-@compiled
-def _wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-untyped-def]
-    """Return the information of the offset and heading of a segment relative to its wall: (yy, yt, tt).
-
-    `segment` and `wall` are the covariances (2, 2) of both, `along` the position of the segment's middle on the wall.
-    """
-    yy = segment[0, 0] + roughness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
-    yt = segment[0, 1] + wall[0, 1] + along * wall[1, 1]
-    tt = segment[1, 1] + 3 * roughness / half**2 + wall[1, 1]
-    determinant = yy * tt - yt * yt
-    return tt / determinant, -yt / determinant, yy / determinant
-
-
-@compiled
-def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # type: ignore[no-untyped-def]
-    """Match a segment at (x, y, heading) in the map with the nearest wall inside the gates.
-
-    Returns the wall's row (-1 for none), the squared distance relative to the gates, the overlap in metres, the offset,
-    the heading difference, and the position along the wall.
-    """
-    best, match = 2.0, -1  # the largest distance inside the gates
-    overlap = offset = turn = along = 0.0
-    for j in range(len(walls.frame)):
-        angle = wrap_angle(heading - walls.frame[j, 2])
-        if abs(angle) > heading_gate:
-            continue
-        wc, ws = walls.axis[j, 0], walls.axis[j, 1]
-        dx, dy = x - walls.frame[j, 0], y - walls.frame[j, 1]
-        across = wc * dy - ws * dx
-        if abs(across) > offset_gate:
-            continue
-        at = wc * dx + ws * dy
-        shared = min(at + half, walls.high[j] + MATCH_END_MARGIN) - max(at - half, walls.low[j] - MATCH_END_MARGIN)
-        distance = (across / offset_gate) ** 2 + (angle / heading_gate) ** 2
-        if shared > 0.0 and distance < best:
-            best, match, overlap, offset, turn, along = distance, j, min(shared, 2 * half), across, angle, at
-    return match, best, overlap, offset, turn, along
-
-
-@compiled
-def _add_corners(  # type: ignore[no-untyped-def]
-    pose, observed, corners, roughness, gate, information, gradient
-):
-    """Pair each corner with the nearest map corner inside the gate and add its normal equations."""
-    points, headings = observed.position, observed.headings
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    rotation = np.array([[c, -s], [s, c]])
-    for i in range(len(points)):
-        lever = rotation @ points[i]
-        best, match = gate * gate, -1
-        for j in range(len(corners.position)):
-            dx, dy = pose[0] + lever[0] - corners.position[j, 0], pose[1] + lever[1] - corners.position[j, 1]
-            distance = dx * dx + dy * dy
-            if (
-                distance < best
-                and abs(wrap_angle(pose[2] + headings[i, 0] - corners.headings[j, 0])) < CORNER_HEADING_GATE
-                and abs(wrap_angle(pose[2] + headings[i, 1] - corners.headings[j, 1])) < CORNER_HEADING_GATE
-            ):
-                best, match = distance, j
-        if match < 0:
-            continue
-        covariance = rotation @ observed.covariance[i] @ rotation.T + corners.covariance[match]
-        covariance[0, 0] += roughness
-        covariance[1, 1] += roughness
-        weights = np.linalg.inv(covariance)
-        residual = np.array(
-            [pose[0] + lever[0] - corners.position[match, 0], pose[1] + lever[1] - corners.position[match, 1]]
-        )
-        chi2 = residual @ weights @ residual
-        jacobian = np.array([[c, -s, -lever[1]], [s, c, lever[0]]])
-        # Half weight: a corner is computed from the ends of two segments that are already matched to walls.
-        weight = 0.5 / (1.0 + chi2 / (MATCH_CAUCHY_SCALE * MATCH_CAUCHY_SCALE))
-        information += weight * (jacobian.T @ weights @ jacobian)
-        gradient += weight * (jacobian.T @ (weights @ residual))

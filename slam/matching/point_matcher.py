@@ -31,7 +31,8 @@ from drivers.compiled import compiled
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse, log_determinant, quadratic_form, solve
-from .distance_field import DistanceField, add_points
+from .distance_field import DistanceField
+from .interpolation import add_points
 from .offset_tiles import FIELD_CELL
 from .point_costs import COARSE_SIGMA, points_cost, search_grid
 from .scan_points import subsample

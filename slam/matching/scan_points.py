@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 
@@ -48,7 +47,8 @@ class ScanPoints:
 
     def __init__(self, all_points: Floats, clutter: Floats) -> None:
         """Round points (p, 2) and (q, 2), metres. Coordinates beyond MAX_POINT_UNITS are clipped."""
-        self._all, self._clutter = _in_units(all_points), _in_units(clutter)
+        # contiguous, as strided ones would be compiled for separately
+        self._all, self._clutter = (_in_units(np.ascontiguousarray(points)) for points in (all_points, clutter))
 
     @property
     def all(self) -> Floats:
@@ -61,10 +61,14 @@ class ScanPoints:
         return np.asarray(POINT_UNIT * self._clutter, dtype=np.float64)
 
 
-def _in_units(points: Floats) -> NDArray[np.int32]:
-    """Return points as numbers of POINT_UNIT."""
-    counts = np.rint(points / POINT_UNIT)
-    return np.clip(counts, -MAX_POINT_UNITS, MAX_POINT_UNITS).astype(np.int32)
+@compiled
+def _in_units(points):  # type: ignore[no-untyped-def]
+    """Return points (p, 2) as numbers of POINT_UNIT."""
+    counts = np.empty(points.shape, np.int32)
+    for k in range(len(points)):
+        for axis in range(2):
+            counts[k, axis] = min(max(np.rint(points[k, axis] / POINT_UNIT), -MAX_POINT_UNITS), MAX_POINT_UNITS)
+    return counts
 
 
 def subsample(points: Floats, max_count: int) -> Floats:

@@ -159,7 +159,9 @@ class OdometryModel:
     def correct(self, motion: se2.Pose) -> se2.Pose:
         """Return measured motions (..., 3) without their systematic errors."""
         turn = self._turn_factor * motion[..., 2] + self._veer * motion[..., 0]
-        return with_turn(motion * [self._length_factor, self._length_factor, 1.0], turn)
+        scaled = self._length_factor * motion
+        scaled[..., 2] = motion[..., 2]
+        return with_turn(scaled, turn)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left, insort
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +20,7 @@ ACCELERATIONS = np.array([1.0, 1.0, 3.0])
 # Velocities that no indoor robot exceeds, as standard deviations: the uncertainty does not grow beyond them.
 # Origin: chosen, metres and radians per second.
 MAX_VELOCITIES = np.array([1.0, 1.0, 2.0])
+MAX_VARIANCES = MAX_VELOCITIES**2  # Origin: definition.
 # Latest intervals between scans of which the median is the lidar's period, or the mean if they come in bursts.
 # Origin: chosen, longer than the bursts of a computer that is busy for some seconds; not measured.
 PERIOD_SAMPLES = 101
@@ -41,12 +44,13 @@ class VelocityFilter:
 
     def __init__(self, velocity: Floats | None = None, variances: Floats | None = None) -> None:
         self.velocity = np.zeros(3) if velocity is None else velocity
-        self.variances = MAX_VELOCITIES**2 if variances is None else variances
+        self.variances = MAX_VARIANCES if variances is None else variances
 
     def motion(self, seconds: float) -> se2.Pose:
         """Return the motion [x, y, heading] within some seconds, along an arc."""
         arc = self.velocity * seconds
-        return with_turn(np.array([*arc[:2], 0.0]), arc[2])
+        turn, arc[2] = float(arc[2]), 0.0
+        return with_turn(arc, turn)
 
     def deviations(self, seconds: float) -> Floats:
         """Return (3,) the standard deviations of a motion within some seconds, metres and radians."""
@@ -59,14 +63,15 @@ class VelocityFilter:
         """
         self.variances = self._predicted_variances(seconds)
         if motion is not None:
-            noise = 2.0 * np.diag(covariance) / seconds**2  # of the poses at both ends
+            noise = 2.0 * covariance.diagonal() / seconds**2  # of the poses at both ends
             gain = self.variances / (self.variances + noise)
-            arc = np.array([*with_turn(motion, 0.0)[:2], motion[2]])
+            arc = with_turn(motion, 0.0)
+            arc[2] = motion[2]
             self.velocity = self.velocity + gain * (arc / seconds - self.velocity)
             self.variances = (1.0 - gain) * self.variances
 
     def _predicted_variances(self, seconds: float) -> Floats:
-        return np.asarray(np.minimum(self.variances + (ACCELERATIONS * seconds) ** 2, MAX_VELOCITIES**2))
+        return np.asarray(np.minimum(self.variances + (ACCELERATIONS * seconds) ** 2, MAX_VARIANCES))
 
 
 class ScanClock:
@@ -76,20 +81,31 @@ class ScanClock:
     turned evenly meanwhile, so the mean of the latest intervals is used then. If most scans are in bursts, the median
     is no period of a lidar either.
 
-    last       stamp of the last scan; None before the first
-    intervals  latest differences of stamps
+    last  stamp of the last scan; None before the first
     """
 
     def __init__(self, last: float | None = None, intervals: Sequence[float] = ()) -> None:
-        self.last, self.intervals = last, tuple(intervals)
+        self.last, self._latest, self._ordered = last, deque(intervals), sorted(intervals)
+
+    @property
+    def intervals(self) -> tuple[float, ...]:
+        """Latest differences of stamps."""
+        return tuple(self._latest)
 
     def interval(self, stamp: float) -> float:
         """Return the seconds from the last scan to one at `stamp`, which becomes the last; 0 for the first."""
         last, self.last = self.last, stamp
         if last is None:
             return 0.0
-        self.intervals = (*self.intervals, stamp - last)[-PERIOD_SAMPLES:]
-        ordered = sorted(self.intervals)
+        self._add(stamp - last)
+        ordered = self._ordered
         period = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
         in_bursts = period < MIN_PERIOD or ordered[0] < MIN_INTERVAL * period
         return sum(ordered) / len(ordered) if in_bursts else max(stamp - last, period)
+
+    def _add(self, interval: float) -> None:
+        """Add an interval to the latest ones, which are kept in order too: to sort them for each scan takes longer."""
+        self._latest.append(interval)
+        insort(self._ordered, interval)
+        if len(self._latest) > PERIOD_SAMPLES:
+            del self._ordered[bisect_left(self._ordered, self._latest.popleft())]

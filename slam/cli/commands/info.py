@@ -32,8 +32,8 @@ def info(
     from ...io.recording_timing import RecordingTiming
 
     source = drivers.open(recording)
-    found = drivers.inspect(source)
-    typer.echo("\n".join(describe(found, RecordingTiming.of(source, LidarConfig()))))
+    timing = RecordingTiming.of(source, LidarConfig())  # the messages that it has read are inspected
+    typer.echo("\n".join(describe(drivers.inspect(source), timing)))
 
 
 def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:

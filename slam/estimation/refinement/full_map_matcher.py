@@ -13,6 +13,7 @@ from drivers.compiled import compiled
 
 from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
+from ...geometry.small_matrices import inverse, quadratic_form
 from ...localisation.match_target import MatchTarget
 from ...localisation.tracker import SLIP_COST
 from ...mapping.landmarks import Landmarks
@@ -213,9 +214,9 @@ def _prior(neighbour, present, motion, motion_information, information):  # type
     x, y = neighbour[0] + c * motion[0] - s * motion[1], neighbour[1] + s * motion[0] + c * motion[1]
     c, s = math.cos(heading), math.sin(heading)
     x, y = present[0] - x, present[1] - y
-    error = np.array([c * x + s * y, c * y - s * x, wrap_angle(present[2] - heading)])
-    weight = 1.0 / (1.0 + error @ (motion_information @ error) / KERNEL**2)
-    covariance = np.linalg.inv(information + weight * motion_information)
+    turn = wrap_angle(present[2] - heading)
+    weight = 1.0 / (1.0 + quadratic_form(motion_information, c * x + s * y, c * y - s * x, turn) / KERNEL**2)
+    covariance = inverse(information + weight * motion_information)
     for k in range(3):
         covariance[k, k] += TRACKED_SIGMAS[k] ** 2
-    return np.ascontiguousarray(np.linalg.inv(covariance))  # functions would be compiled again for a transposed one
+    return inverse(covariance)

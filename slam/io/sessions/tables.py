@@ -95,7 +95,7 @@ def write_row_groups(path: Path, groups: Iterable[Columns]) -> None:
         memory_pool=pa.system_memory_pool(),  # reuses what the run has freed; Arrow's own pool would add some 10 MB
     ) as writer:
         for table in chain([first], tables):
-            writer.write_table(table.cast(schema))
+            writer.write_table(table)
 
 
 def _to_arrow(column: Column) -> pa.Array:

@@ -9,6 +9,7 @@ import pytest
 
 import drivers
 from drivers import GroundTruth, Message, Odometry, Scan, Source, SourceReport
+from drivers.source_factory import recording_of
 
 KINDS = ["carmen", "carmen-gzip", "mcap", "ros1-bag", "ros2-sqlite3", "ros2-mcap", "simulation"]
 
@@ -28,6 +29,20 @@ def test_every_iteration_yields_the_same_messages(
     source: Source, assert_same: Callable[[list[Message], list[Message]], None]
 ) -> None:
     assert_same(list(source), list(source))
+
+
+def test_reading_ahead_changes_neither_messages_nor_report(
+    source: Source, assert_same: Callable[[list[Message], list[Message]], None]
+) -> None:
+    """What is known of a whole recording before it is iterated takes a reading of its own, which is used again."""
+    messages, report = list(source), source.report
+    if (reader := recording_of(source)) is not None:
+        assert reader.has_odometry
+        assert reader.report is report
+    assert_same(list(source), messages)
+    assert source.report == report
+    assert_same(list(source), messages)
+    assert source.report == report
 
 
 def test_two_iterations_can_run_at_the_same_time(source: Source) -> None:

@@ -14,7 +14,10 @@ import sys
 import slam.cli
 import slam.pipeline
 
-HEAVY = {"scipy.stats", "scipy.optimize", "scipy.ndimage", "pandas", "matplotlib", "rosbags", "mcap", "rerun"}
+HEAVY = {
+    *("scipy.stats", "scipy.optimize", "scipy.ndimage", "scipy.spatial", "pyarrow.compute"),
+    *("pandas", "matplotlib", "rosbags", "mcap", "rerun"),
+}
 
 def loaded():
     return sorted((HEAVY | {"drivers.simulation", "pyarrow"}) & set(sys.modules))

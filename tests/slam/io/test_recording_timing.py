@@ -10,6 +10,7 @@ import pytest
 
 import drivers
 from drivers.messages import Message, Scan, delay_odometry, with_reversed_times
+from drivers.recordings import reader
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.reader import RecordingReader
 from drivers.timing.delay import Delay
@@ -90,8 +91,12 @@ def test_lidars_have_one_delay_unless_they_clearly_differ(second: Delay | None, 
     assert RecordingTiming(delay=second, used_delay=own).beside(first).used_delay == used
 
 
-def test_a_run_reads_all_of_a_recording_twice(monkeypatch: pytest.MonkeyPatch, wrong_recording: Path) -> None:
-    """Once for what has to be known before, and once for the map."""
+@pytest.mark.parametrize(("kept", "readings"), [(reader.MAX_KEPT_BYTES, 1), (0, 2)])
+def test_a_run_reads_a_recording_once_if_it_is_small(
+    monkeypatch: pytest.MonkeyPatch, wrong_recording: Path, kept: int, readings: int
+) -> None:
+    """What has to be known before is found in the messages that are mapped; those of large ones are not kept."""
+    monkeypatch.setattr(reader, "MAX_KEPT_BYTES", kept)
     ends: list[RecordingReader] = []
     read = RecordingReader._messages
 
@@ -107,4 +112,4 @@ def test_a_run_reads_all_of_a_recording_twice(monkeypatch: pytest.MonkeyPatch, w
     assert len(ends) == 1
     with run_input.opened(lambda: None) as messages:
         assert sum(1 for _ in messages) == len(source)
-    assert ends == [source, source]
+    assert ends == readings * [source]

@@ -16,10 +16,10 @@ from slam.matching.distance_field import (
     SEEN_CELL,
     DistanceField,
     facing_grid,
-    interpolate,
     is_seen,
     nearest_distance,
 )
+from slam.matching.interpolation import BLOCK, interpolate
 from slam.matching.offset_tiles import FIELD_CELL, MAX_DISTANCE, NOWHERE, OFFSET_UNIT
 
 from ..outlines import offsets_of
@@ -51,6 +51,13 @@ def in_cells(field: DistanceField, position: Floats) -> tuple[float, float]:
     """Return a position (2,) in the map in cells of the field."""
     x, y = (position - field.origin) / FIELD_CELL
     return float(x), float(y)
+
+
+def vectors_at(field: DistanceField, position: Floats, normal: Floats) -> Floats:
+    """Return the vector (1, 2) from a surface to a point with a normal, or (0, 2) if none is near; all cells count as
+    seen."""
+    field.seen[:] = 1
+    return np.asarray(interpolate(np.zeros(3), np.array([[*position, *normal]]), field.arrays)[1])
 
 
 def wall_points(position: Floats, normal: Floats) -> Floats:
@@ -125,10 +132,9 @@ def test_vector_is_linear_across_a_wall(seed: int, heading: float, across: float
     normal, middle = np.array([np.cos(heading), np.sin(heading)]), random.uniform(-0.2, 0.2, 2)
     field = wall_field(middle, normal, normal)
     position = middle + across * normal + random.uniform(-0.5, 0.5) * np.array([-normal[1], normal[0]])
-    dx, dy, found = interpolate(field.arrays, facing_grid(*normal), *in_cells(field, position))
-    assert found
-    assert normal @ [dx, dy] == pytest.approx(across, abs=5e-4)
-    assert abs(-normal[1] * dx + normal[0] * dy) < FIELD_CELL
+    (vector,) = vectors_at(field, position, normal)
+    assert normal @ vector == pytest.approx(across, abs=5e-4)
+    assert abs(-normal[1] * vector[0] + normal[0] * vector[1]) < FIELD_CELL
     distance = nearest_distance(field.arrays, facing_grid(*normal), *in_cells(field, position))
     assert distance == pytest.approx(abs(across), abs=FIELD_CELL)
 
@@ -138,24 +144,23 @@ def test_vector_is_linear_across_a_wall(seed: int, heading: float, across: float
 def test_faces_of_a_thin_wall_are_told_apart_also_if_the_heading_is_wrong(heading: float, turn: float) -> None:
     normal = np.array([np.cos(heading), np.sin(heading)])
     field = wall_field(np.zeros(2), normal, normal)
-    front = facing_grid(np.cos(heading + turn), np.sin(heading + turn))
-    back = facing_grid(-np.cos(heading + turn), -np.sin(heading + turn))
+    front = np.array([np.cos(heading + turn), np.sin(heading + turn)])
     behind = in_cells(field, -0.1 * normal)
-    assert interpolate(field.arrays, front, *behind)[2]
-    assert nearest_distance(field.arrays, front, *behind) < 0.1 + FIELD_CELL
-    assert not interpolate(field.arrays, back, *behind)[2]
-    assert nearest_distance(field.arrays, back, *behind) == MAX_DISTANCE
+    assert len(vectors_at(field, -0.1 * normal, front))
+    assert nearest_distance(field.arrays, facing_grid(*front), *behind) < 0.1 + FIELD_CELL
+    assert not len(vectors_at(field, -0.1 * normal, -front))
+    assert nearest_distance(field.arrays, facing_grid(*-front), *behind) == MAX_DISTANCE
     field.insert(np.zeros(3), np.column_stack([wall_points(-0.1 * normal, normal), np.tile(-normal, (100, 1))]))
-    for grid, face in ((front, 0.0), (back, -0.1)):
+    for facing, face in ((front, 0.0), (-front, -0.1)):
         for across in (-0.12, -0.07, -0.03, 0.02):
-            vector = interpolate(field.arrays, grid, *in_cells(field, across * normal))[:2]
+            (vector,) = vectors_at(field, across * normal, facing)
             assert normal @ vector == pytest.approx(across - face, abs=5e-4)
 
 
 def test_surface_without_normal_is_searched_among_all_points() -> None:
     assert facing_grid(0.0, 0.0) == ALL_POINTS
     field = wall_field(np.zeros(2), np.array([1.0, 0.0]), np.array([1.0, 0.0]))
-    assert interpolate(field.arrays, ALL_POINTS, *in_cells(field, np.array([0.1, 0.0])))[2]
+    assert len(vectors_at(field, np.array([0.1, 0.0]), np.zeros(2)))
 
 
 @settings(max_examples=50, deadline=None)
@@ -165,17 +170,29 @@ def test_interpolation_between_two_walls_does_not_mix_them(seed: int) -> None:
     x, y = random.uniform(-0.25, 0.25), random.uniform(-0.5, 0.5)
     field = wall_field(np.array([-0.3, 0.0]), np.array([1.0, 0.0]), np.array([0.0, 0.0]))
     field.insert(np.zeros(3), wall_points(np.array([0.3, 0.0]), np.array([1.0, 0.0])))
-    dx, _, found = interpolate(field.arrays, ALL_POINTS, *in_cells(field, np.array([x, y])))
-    assert found
-    assert min(abs(dx - (x + 0.3)), abs(dx - (x - 0.3))) < 5e-4
+    (vector,) = vectors_at(field, np.array([x, y]), np.zeros(2))
+    assert min(abs(vector[0] - (x + 0.3)), abs(vector[0] - (x - 0.3))) < 5e-4
 
 
 @pytest.mark.parametrize(("x", "y"), [(-3.0, 5.0), (5.0, -0.1), (83.0, 5.0), (5.0, 80.0), (5.0, 79.6), (0.4, 5.0)])
 def test_nothing_is_found_outside(x: float, y: float) -> None:
     field = DistanceField.empty(np.zeros(2), HALF_WIDTH)
     field.offsets.tile_of[:], field.offsets.tiles[:] = 0, 0
-    assert interpolate(field.arrays, 0, x, y) == (0.0, 0.0, False)
-    assert interpolate(field.arrays, 0, 5.0, 5.0)[2]
+    for place, count in (((x, y), 0), ((5.0, 5.0), 1)):
+        assert len(vectors_at(field, field.origin + FIELD_CELL * np.array(place), np.array([1.0, 0.0]))) == count
+
+
+def test_points_are_matched_in_any_number() -> None:
+    """They are computed in blocks; each has the vector that it has alone, and those far from the wall have none."""
+    random = np.random.default_rng(0)
+    field = wall_field(np.zeros(2), np.array([1.0, 0.0]), np.array([1.0, 0.0]))
+    field.seen[:] = 1
+    points = np.column_stack([random.uniform(-1.0, 1.0, (3 * BLOCK + 5, 2)), np.tile([1.0, 0.0], (3 * BLOCK + 5, 1))])
+    rows, vectors = interpolate(np.zeros(3), points, field.arrays)
+    alone = [interpolate(np.zeros(3), points[k : k + 1], field.arrays)[1] for k in range(len(points))]
+    assert BLOCK < len(rows) < len(points) - BLOCK
+    np.testing.assert_array_equal(rows, np.flatnonzero([len(one) for one in alone]))
+    np.testing.assert_array_equal(vectors, np.concatenate(alone))
 
 
 @settings(max_examples=50, deadline=None)
