@@ -5,7 +5,7 @@ from __future__ import annotations
 from .lidar_model import LIDAR_MODELS, LidarModel
 from .simulator import Simulation, warm_up
 from .wheel_model import WHEEL_MODELS, WheelBiases, WheelModel
-from .world import TemporaryShapes, World, WorldFile, build_world, load_world, world_names
+from .world import TemporaryShapes, World, WorldFile, build_world, load_world, load_world_file, world_names
 
 __all__ = [
     "LIDAR_MODELS",
@@ -19,6 +19,7 @@ __all__ = [
     "WorldFile",
     "build_world",
     "load_world",
+    "load_world_file",
     "warm_up",
     "world_names",
 ]

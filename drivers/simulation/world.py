@@ -144,6 +144,11 @@ def world_names() -> list[str]:
 
 def load_world(name: str | Path) -> World:
     """Load a world by its name or from a TOML file; raises RecordingError if it does not exist or is invalid."""
+    return build_world(_find(name).stem, load_world_file(name))
+
+
+def load_world_file(name: str | Path) -> WorldFile:
+    """Load the content of a world's file; raises RecordingError as `load_world` does."""
     path = _find(name)
     try:
         content = WorldFile.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
@@ -154,7 +159,7 @@ def load_world(name: str | Path) -> World:
         raise RecordingError(path, None, f"is not a valid world file: {error}") from error
     if not (content.walls or content.boxes or content.columns):
         raise RecordingError(path, None, "has no walls, boxes or columns")
-    return build_world(path.stem, content)
+    return content
 
 
 def build_world(name: str, content: WorldFile) -> World:

@@ -1,16 +1,18 @@
 """Outlines of rooms: walls followed from corner to corner, with the room on their left.
 
 A wall is seen from the left of its frame, so a robot in a room sees the walls around it in counter-clockwise order. A
-corner of the map states which wall follows another one. A wall is also divided where another one runs into the side
-that it is seen from: the walls of two rooms may be on one line. Where furniture hides a corner, or a door is open, the
-outline is continued along the lines of the walls: of all ways to connect loose ends, those are chosen that need the
-least length that was not seen (linear assignment, Kuhn 1955). Such a bridge crosses no wall, and around a corner the
-path of the robot only if all that was not seen of it is in one wall: a door beside the corner. If the lines do not meet
-between two ends that are near each other, the outline steps from one to the other: at an open door leaf, for example.
+wall is divided at the corners of the map, and where another one runs into the side that it is seen from: the walls of
+two rooms may be on one line. Where furniture hides a corner, or a door is open, the outline is continued along the
+lines of the walls: of all ways to connect the pieces, that with the least length that was not seen is chosen (linear
+assignment, Kuhn 1955). A piece may also stand alone, as an open door leaf does: then its back was not seen, which is as
+long as the piece. Such a bridge crosses no wall, except at a corner of the map, and around a corner the path of the
+robot only if all that was not seen of it is in one wall: a door beside the corner. If the lines do not meet between two
+ends that are near each other, the outline steps from one to the other: at an open door leaf, for example.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
@@ -29,8 +31,8 @@ CORNER_MARGIN = 0.3
 # Metres of the longest step between two walls whose lines do not meet there. Origin: chosen, the depth of furniture
 # and the distance of an open door leaf from the wall beside it; not measured.
 MAX_STEP = 0.6
-# Metres that a step counts in excess of its length, so that walls are rather continued to where they meet. Origin:
-# chosen, as CORNER_MARGIN; not measured.
+# Metres that a step counts in excess of its length, so that walls are rather continued to where they meet, and that a
+# wall counts which continues where another one meets it. Origin: chosen, as CORNER_MARGIN; not measured.
 STEP_COST = 0.3
 # Sine of the least angle at which one wall divides another one. Origin: chosen, 30 degrees; not measured.
 MIN_JUNCTION_SINE = 0.5
@@ -162,28 +164,36 @@ def _junctions(wall_map: WallMap) -> list[tuple[int, float]]:
 
 def _follow(wall_map: WallMap, edges: Edges) -> tuple[Integers, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Return for each edge (n,) the one that follows it, -1 if unknown, and whether a step leads to it (n,)."""
-    stepped = np.zeros(len(edges), dtype=bool)
-    following = np.full(len(edges), -1)
-    for first, second, position in _known_corners(wall_map):
-        before = _nearest(edges, first, 1, wall_map.along(first, position))
-        after = _nearest(edges, second, 0, wall_map.along(second, position))
-        if min(before, after) >= 0 and following[before] < 0 and after not in following:
-            following[before] = after
-    loose = np.flatnonzero(following < 0)
-    open_starts = np.setdiff1d(np.arange(len(edges)), following)
-    cost = np.full((len(loose), len(open_starts) + len(loose)), MAX_BRIDGE)  # the last columns: nothing follows
-    for i, before in enumerate(loose.tolist()):
-        for j, after in enumerate(open_starts.tolist()):
-            cost[i, j] = min(_bridge_cost(wall_map, edges, before, after), _step_cost(wall_map, edges, before, after))
+    cost = np.full((len(edges), 2 * len(edges)), MAX_BRIDGE)  # the last columns: nothing follows
+    steps = np.zeros((len(edges), len(edges)), dtype=bool)
+    apart = np.hypot(*(edges.ends[:, None, 1] - edges.ends[None, :, 0]).transpose(2, 0, 1))
+    for before, after in np.argwhere(apart <= MAX_BRIDGE).tolist():
+        bridge, step = (of(wall_map, edges, before, after) for of in (_bridge_cost, _step_cost))
+        cost[before, after], steps[before, after] = min(bridge, step, 2.0 * MAX_BRIDGE), step < bridge
+    for before, after, unseen in _corner_links(wall_map, edges):
+        if unseen < cost[before, after]:
+            cost[before, after], steps[before, after] = unseen, False
+    alone = np.arange(len(edges))
+    cost[alone, alone] = np.minimum(edges.span[:, 1] - edges.span[:, 0], MAX_BRIDGE)
     from scipy.optimize import linear_sum_assignment  # only here: most runs measure no rooms
 
-    chosen, columns = linear_sum_assignment(np.minimum(cost, 2.0 * MAX_BRIDGE))
-    for i, j in zip(chosen, columns, strict=True):
-        if j < len(open_starts) and cost[i, j] < MAX_BRIDGE:
-            before, after = int(loose[i]), int(open_starts[j])
-            following[before] = after
-            stepped[after] = cost[i, j] < _bridge_cost(wall_map, edges, before, after)
+    _, columns = linear_sum_assignment(cost)
+    rows = np.arange(len(edges))
+    known = (columns < len(edges)) & (cost[rows, columns] < MAX_BRIDGE)
+    following = np.where(known, columns, -1)
+    stepped = np.zeros(len(edges), dtype=bool)
+    stepped[following[known]] = steps[rows, columns % len(edges)][known]
     return following, stepped
+
+
+def _corner_links(wall_map: WallMap, edges: Edges) -> Iterator[tuple[int, int, float]]:
+    """Yield the edges before and after each corner that was seen, and the metres between them that were not."""
+    for first, second, position in _known_corners(wall_map):
+        ends = wall_map.along(first, position), wall_map.along(second, position)
+        before, after = _nearest(edges, first, 1, ends[0]), _nearest(edges, second, 0, ends[1])
+        if min(before, after) >= 0:
+            unseen = abs(ends[0] - float(edges.span[before, 1])) + abs(ends[1] - float(edges.span[after, 0]))
+            yield before, after, unseen
 
 
 def _nearest(edges: Edges, wall: int, side: int, along: float) -> int:
@@ -201,6 +211,8 @@ def _bridge_cost(wall_map: WallMap, edges: Edges, before: int, after: int) -> fl
     if abs(np.sin(turn)) <= MIN_SINE:
         gap = wall_map.along(first, start) - float(edges.span[before, 1])
         cost = abs(gap) + abs(float(wall_map.normal(first) @ (start - end)))
+        if first == second and gap <= 0.0:  # divided where another wall meets it
+            cost += STEP_COST
         possible = np.cos(turn) > 0.0 and gap >= -CORNER_MARGIN and cost <= MAX_BRIDGE
         return cost if possible and not _crosses(edges, np.stack([end, start]), (before, after)) else np.inf
     if np.hypot(*(start - end)) > MAX_BRIDGE:

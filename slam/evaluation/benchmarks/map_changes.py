@@ -6,7 +6,6 @@ metres beside it, is reported as moved, gone or new. A report anywhere else is a
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.simulation import Simulation
-from drivers.simulation.world import WORLD_FOLDERS, Box, World, WorldFile, build_world
+from drivers.simulation.world import Box, World, WorldFile, build_world, load_world_file
 
 from ...geometry.segments import Floats
 from ...offline.map_diff import MapDiff, Survey, compare, survey_session
@@ -143,8 +142,7 @@ def compare_pairs(condition: str, seeds: Iterable[int], duration: float, rate: f
 
 def office() -> WorldFile:
     """Return the content of the office's file."""
-    file = next(path for folder in WORLD_FOLDERS if (path := folder / "office.toml").is_file())
-    return WorldFile.model_validate(tomllib.loads(file.read_text(encoding="utf-8")))
+    return load_world_file("office")
 
 
 def _survey(world: World, seed: int, duration: float) -> tuple[Survey, se2.Pose]:

@@ -1,4 +1,4 @@
-"""`wclm bench measure` and `wclm bench diff` count what they say they count."""
+"""`wclm bench measure`, `wclm bench diff` and `wclm bench plan` count what they say they count."""
 
 from __future__ import annotations
 
@@ -7,9 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.simulation.world import build_world
+from drivers.simulation import load_world_file
+from drivers.simulation.world import Wall, build_world
 from slam.evaluation.benchmarks.map_changes import CONDITIONS, DOORS, PairResult, changes_table, office, score
 from slam.evaluation.benchmarks.measuring import MeasuredDrive, coverage, measure_drives
+from slam.evaluation.benchmarks.plans import PlanDrive, displace_walls, plan_of, plans_table
+from slam.evaluation.benchmarks.plans import score as score_plan
+from slam.mapping.map_features import MapWalls
 from slam.measuring.measurement import Kind
 from slam.offline.map_diff import Change, ChangeKind, MapDiff
 
@@ -70,3 +74,52 @@ def test_reports_beside_a_change_find_it_and_others_are_false() -> None:
     result = score(diff, areas, np.array([2.0, 2.0, 0.0]))
     assert result == PairResult(changes=2, found=1, reports=3, false=1)
     assert "| 1 of 2 | 1 (< 100 %) | 33.3 % |" in changes_table({"added": [result]})[-1]
+
+
+def test_a_tenth_of_the_walls_of_a_plan_is_displaced_across() -> None:
+    content = load_world_file("office")
+    drawn, displaced = displace_walls(content, 0.1, seed=3)
+    assert len(displaced) == round(0.1 * len(content.walls)) == 2
+    for k, (before, after) in enumerate(zip(content.walls, drawn.walls, strict=True)):
+        shift = np.array(after.start) - np.array(before.start)
+        np.testing.assert_allclose(np.array(after.end) - np.array(before.end), shift)
+        along = np.array(before.end) - np.array(before.start)
+        assert abs(shift @ along) < 1e-9
+        assert 0.15 <= np.hypot(*shift) <= 0.5 if k in displaced else not shift.any()
+
+
+def test_differences_at_displaced_walls_are_found_and_others_are_blamed() -> None:
+    content = load_world_file("room")
+    true = content.walls[1]
+    (x0, y0), (x1, y1) = true.start, true.end
+    assert x0 == x1
+    drawn = true.model_copy(update={"start": (x0 + 0.4, y0), "end": (x1 + 0.4, y1)})
+    of_plan = content.model_copy(update={"walls": [drawn if wall is true else wall for wall in content.walls]})
+    world = build_world("room", content)
+    plan, right = plan_of(build_world("plan", of_plan)).walls, plan_of(world).walls
+    built = right  # a perfect map
+
+    def nearest(walls: MapWalls, wall: Wall) -> int:
+        middle = 0.5 * (np.array(wall.start) + np.array(wall.end))
+        away = np.hypot(*(walls.end_points().mean(axis=1) - middle).T)
+        return int(walls.identity[away.argmin()])
+
+    def scored(*reports: Change) -> tuple[int, int, int]:
+        return score_plan(reports, plan, built, (world, right), [(true, drawn)])
+
+    nowhere = np.zeros((1, 2, 2))
+    old, new = nearest(plan, drawn), nearest(built, true)
+    others = nearest(plan, content.walls[0]), nearest(built, content.walls[0])
+    assert scored() == (1, 0, 0)
+    assert scored(Change(ChangeKind.MOVED, old, new, nowhere)) == (1, 1, 0)
+    assert scored(Change(ChangeKind.GONE, old, None, nowhere)) == (1, 1, 0)
+    assert scored(Change(ChangeKind.NEW, None, new, nowhere)) == (1, 1, 0)
+    assert scored(Change(ChangeKind.GONE, others[0], None, nowhere)) == (1, 0, 1)
+    assert scored(Change(ChangeKind.NEW, None, others[1], nowhere)) == (1, 0, 1)
+
+
+def test_the_table_of_plans_leaves_out_drives_without_a_place_in_the_plan() -> None:
+    found = PlanDrive(8.0, 0.003, 0.004, 0.002, 2, 1, 3)
+    lost = PlanDrive(np.nan, np.nan, np.nan, np.nan, 0, 0, 0)
+    row = plans_table({"wrong-walls": [found, lost]})[-1]
+    assert "| 2 | 1 | 8.0 m (up to 8.0 m) | 3.0 mm | 4.0 mm | 2.0 mm | 1 of 2 | 3 |" in row

@@ -89,7 +89,7 @@ def test_an_outline_is_closed_across_a_door_and_a_hidden_corner() -> None:
     [
         ([(7.0, 1.0), (8.0, 1.0)], []),  # the robot was not inside
         ([(1.0, 1.0), (4.6, 3.9), (6.0, 5.0)], []),  # it drove through the gap at the corner, which is no corner
-        ([(1.0, 1.0), (2.0, 1.5)], [[(4.7, 3.0), (4.7, 5.0)]]),  # another wall runs through it
+        ([(1.0, 1.0), (2.0, 1.5)], [[(4.7, 5.0), (4.7, 3.0)]]),  # another wall runs through it, seen from beyond
     ],
 )
 def test_no_room_is_made_up(path: list[tuple[float, float]], extra: list[list[tuple[float, float]]]) -> None:
@@ -138,6 +138,30 @@ def test_a_wall_seen_beyond_a_corner_adds_nothing_to_the_outline() -> None:
     walls = room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)])
     walls[0] = [(-1.5, 0.0), (7.0, 0.0)]  # the next rooms have their walls on the same line
     (found,) = find_rooms(wall_map(walls, around(4)))
+    assert found.area == pytest.approx(20.0)
+
+
+def test_an_outline_follows_a_wall_through_a_hidden_corner_if_it_is_seen_from_the_room() -> None:
+    walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), [(4.7, 3.0), (4.7, 5.0)]]
+    walls[1], walls[2] = [(5.0, 0.0), (5.0, 3.0)], [(4.2, 4.0), (0.0, 4.0)]
+    (found,) = find_rooms(wall_map(walls, [(0, 1), (2, 3), (3, 0)], path=[(1.0, 1.0), (2.0, 1.5)]))
+    assert found.area == pytest.approx(20.0 - 0.3)
+
+
+def test_an_open_door_leaf_in_the_room_is_left_out_of_its_outline() -> None:
+    leaf = [(3.2, 3.3), (2.65, 3.95)]  # hinged where the robot came in
+    walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), leaf]
+    walls[2] = [(5.0, 4.0), (3.3, 4.0), (1.8, 4.0), (0.0, 4.0)]  # the leaf hides a part of the wall
+    (found,) = find_rooms(wall_map(walls, [(0, 1), (1, 2), (2, 3), (3, 0)], path=[(2.1, 6.0), (2.1, 2.0)]))
+    assert found.area == pytest.approx(20.0)
+    assert found.observed == pytest.approx(1.0 - 1.5 / 18.0)
+
+
+def test_a_corner_with_a_wall_of_the_next_room_does_not_open_the_outline() -> None:
+    beyond = [(-0.1, 4.1), (-0.1, 7.0)]  # seen from the west, through a window
+    walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), beyond]
+    walls[2] = [(5.0, 4.0), (0.02, 4.0)]
+    (found,) = find_rooms(wall_map(walls, [(0, 1), (1, 2), (2, 4), (3, 0)]))
     assert found.area == pytest.approx(20.0)
 
 

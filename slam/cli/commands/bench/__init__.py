@@ -17,6 +17,7 @@ from .laps import bench_laps
 from .lookalike import bench_lookalike
 from .measure import bench_measure
 from .paper import bench_paper
+from .plan import bench_plan
 from .relocalisation import bench_relocalisation
 from .residuals import bench_residuals
 from .robust import bench_robust
@@ -29,6 +30,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "consistency": bench_consistency,
     "measure": bench_measure,
     "diff": bench_diff,
+    "plan": bench_plan,
     "laps": bench_laps,
     "residuals": bench_residuals,
     "robust": bench_robust,
