@@ -35,7 +35,8 @@ START_TIMEOUT, END_TIMEOUT = 200.0, 150.0
 BEGUN = 20_000
 """Bytes of a recording that has begun."""
 PROGRAM = "from slam.cli import main; main()"
-SHORT_PERIOD = f"import slam.cli.autosave as autosave; autosave.PERIOD = {SAVE_PERIOD}; "
+SHORT_PERIOD = f"import slam.cli.autosave as save; save.PERIOD = {SAVE_PERIOD}; save.LARGEST_SHARE = 1.0; "
+"""Also if a save takes a second, which is much of such a period but little of a minute."""
 
 WHEELS = "wheel_radius=0.0318309886&ticks=1000&track=0.3"
 """Options of the emulated bases whose dimensions no program knows: 0.2 mm per count."""
