@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from drivers.emulator.ld06 import LD06_VARIANTS
 from drivers.emulator.rplidar_scan import BURST_DURATION
 from drivers.emulator.rplidar_variants import RPLIDAR_VARIANTS
 from drivers.emulator.scip import URG
@@ -42,8 +43,9 @@ def started(bench: Bench, lidar: str, mode: str) -> tuple[Host, Decoder, float]:
     """Return a scanning lidar, its decoder, and the resolution of its ranges; all bytes read from now on are
     measurements.
     """
-    if lidar == "ld06":
-        return bench.open("lidar", ld06.BAUD), ld06.Ld06Decoder(), 0.0006
+    if lidar in LD06_VARIANTS:
+        model = LD06_VARIANTS[lidar]
+        return bench.open("lidar", model.baud), ld06.Ld06Decoder(model), 0.0006
     if lidar == "scip":
         host = bench.open("lidar")
         host.port.write(scip.LASER_ON + MEASURE.packet())
@@ -71,7 +73,7 @@ def scans_of(measurements: Measurements, stamps: Floats, whole: bool = False) ->
     return RevolutionAssembler(0.02, 40.0, whole_packets=whole).add(measurements, stamps)
 
 
-@pytest.mark.parametrize(("lidar", "mode"), [*RPLIDARS, ("ld06", ""), ("scip", "")])
+@pytest.mark.parametrize(("lidar", "mode"), [*RPLIDARS, ("ld06", ""), ("stl-27l", ""), ("scip", "")])
 def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: str) -> None:
     robot = bench(lidar=lidar)
     robot.go(1.0)  # the robot stands still at first
@@ -102,6 +104,7 @@ def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: 
         ("rplidar-s1", "DenseBoost", 9200.0, 10.0),
         ("rplidar-a1", "Sensitivity", 1e6 / 127, 7.5),
         ("ld06", "", 4500.0, 10.0),
+        ("stl-27l", "", 21600.0, 10.0),
     ],
 )
 def test_lidars_turn_clockwise_at_their_rate(
