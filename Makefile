@@ -19,7 +19,7 @@ help:
 	@echo "make test-slow   run all tests, also the long ones"
 	@echo "make coverage    run the tests and report which lines they cover"
 	@echo "make fuzz        read damaged files of all kinds; INPUTS=100000 SHARD=1/4 sets their number and the part of them"
-	@echo "make endurance   kill live runs, cut their power, fill their disk, damage their devices; TEST=kill, power, disk, faults, pairs or ros"
+	@echo "make endurance   kill live runs, cut their power, fill their disk, damage their devices; TEST=kill, power, disk, faults, pairs, ros or grid"
 	@echo "make gate        fail if accuracy or speed is worse than the stored limits"
 	@echo "make lint        ruff and mypy"
 	@echo "make format      format the code with ruff"

@@ -5,6 +5,7 @@ power   the power of its disk fails at random moments (root)
 disk    its disk becomes full (root)
 faults  for an hour devices are unplugged, fall silent, restart and fail, bytes are damaged, processors have no time
 ros     a node of ROS 2 over zenoh and DDS, 40 scans of 1000 beams a second for five minutes each
+grid    the occupancy grid of two hours of exploring
 pairs   ten pairs of lidar and base while other programs keep the processors busy
 """
 
@@ -20,6 +21,7 @@ from pathlib import Path
 
 from .crashes import full_disks, kill_runs, power_failures
 from .drives import busy_pairs, drive_with_faults
+from .large_grid import explore
 from .live_run import Findings
 from .ros_exchange import exchange_messages
 
@@ -30,15 +32,16 @@ TESTS: dict[str, tuple[Test, int]] = {
     "disk": (full_disks, 20),
     "faults": (drive_with_faults, 3600),
     "ros": (exchange_messages, 300),
+    "grid": (explore, 7200),
     "pairs": (busy_pairs, 10),
 }
-"""Function of each test, and its usual size: runs, or seconds of `faults` and `ros`."""
+"""Function of each test, and its usual size: runs, or seconds of `faults`, `ros` and `grid`."""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("test", choices=TESTS)
-    parser.add_argument("--size", type=int, help="number of runs; of `faults` and `ros`, seconds")
+    parser.add_argument("--size", type=int, help="number of runs; of `faults`, `ros` and `grid`, seconds")
     parser.add_argument("--seed", type=int, default=1, help="of the random moments (default: %(default)s)")
     parser.add_argument("--keep", type=Path, help="empty directory for all files; by default a temporary one")
     arguments = parser.parse_args()
