@@ -264,6 +264,9 @@ def test_scip_replies_to_all_commands(bench: MakeBench) -> None:
     clocks = [scip.parse_clock(reply.lines[0]) for _ in range(2) for reply in ask(scip.CLOCK)]
     assert clocks[0] is not None
     assert clocks[1] == pytest.approx(clocks[0] + 350, abs=3)
+    (state,) = ask(scip.STATE)
+    assert len(state.packet().split(b"\n")) == 2 + 7 + 2  # Hokuyo's library expects exactly these lines
+    assert all(scip.strip_checksum(line) is not None for line in state.lines)
     assert ask(b"XX\n")[0].status == "0E"
     assert ask(b"MD0000999901000\n")[0].status == "04"
     once = ask(scip.MeasureRequest(100, 200, cluster=3, continuous=False, width=2).packet())
