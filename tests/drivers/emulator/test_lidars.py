@@ -121,6 +121,16 @@ def test_lidars_turn_clockwise_at_their_rate(
     assert all(scan.time_offsets[0] > scan.time_offsets[-1] for scan in scans)  # angles increase, times decrease
 
 
+@pytest.mark.parametrize(("wanted", "turns"), [(60, 5.0), (900, 15.0), (6000, 20.0)])
+def test_an_rplidar_turns_within_its_limits(bench: MakeBench, wanted: int, turns: float) -> None:
+    robot = bench(lidar="rplidar-s1", drive="base")
+    host, decoder, _ = started(robot, "rplidar-s1", "DenseBoost")
+    host.port.write(requests.set_motor_speed(wanted).packet())
+    robot.go(2.5)
+    scans = scans_of(*measured(host, decoder))
+    assert np.median(np.diff([scan.stamp for scan in scans])[-10:]) == pytest.approx(1.0 / turns, rel=0.02)
+
+
 def test_scip_turns_counter_clockwise_and_sends_its_clock(bench: MakeBench) -> None:
     robot = bench(lidar="scip", lidar_drift=2000.0)
     host, decoder, _ = started(robot, "scip", "")
@@ -175,6 +185,10 @@ def test_an_rplidar_reports_its_identity_health_and_modes(bench: MakeBench, lida
                 found: modes.Modes = done.value
                 return found
 
+    for entry, limit in modes.ROTATION_LIMITS.items():
+        request = requests.get_configuration(modes.ConfigEntry(entry))
+        payload = host.ask(request, ResponseReader(ResponseType.CONFIGURATION, prefix=modes.echo(request)))
+        assert payload == modes.echo(request) + limit.to_bytes(2, "little")
     found = query_modes()
     assert [(m.name, m.response_type) for m in found.modes] == [(m.name, m.response_type) for m in kind.modes.modes]
     assert found.choose().sample_period == pytest.approx(kind.modes.choose().sample_period, rel=1e-3)
