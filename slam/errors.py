@@ -69,4 +69,5 @@ __all__ = [
     "RecordingError",
     "SlamError",
     "first_line",
+    "shortened",
 ]
