@@ -5,11 +5,13 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 INPUTS ?= 1000
 SHARD ?= 1/1
+TEST ?= kill
+SIZE ?=
 
 # Python stores what it compiles, whatever the environment says: the tests start some hundred processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help env demo test test-slow coverage fuzz gate lint format docs reference gallery lock clean
+.PHONY: help env demo test test-slow coverage fuzz endurance gate lint format docs reference gallery lock clean
 
 help:
 	@echo "make demo        simulate a robot in a museum, map it, write demo/, open the viewer on a desktop"
@@ -17,6 +19,7 @@ help:
 	@echo "make test-slow   run all tests, also the long ones"
 	@echo "make coverage    run the tests and report which lines they cover"
 	@echo "make fuzz        read damaged files of all kinds; INPUTS=100000 SHARD=1/4 sets their number and the part of them"
+	@echo "make endurance   kill live runs, cut their power, fill their disk, damage their devices; TEST=kill, power, disk, faults, pairs, ros or grid"
 	@echo "make gate        fail if accuracy or speed is worse than the stored limits"
 	@echo "make lint        ruff and mypy"
 	@echo "make format      format the code with ruff"
@@ -52,6 +55,9 @@ coverage: $(READY)
 
 fuzz: $(READY)
 	$(BIN)/python -m tests.fuzzing --inputs $(INPUTS) --shard $(SHARD)
+
+endurance: $(READY)
+	$(BIN)/python -m tests.endurance $(TEST) $(if $(SIZE),--size $(SIZE))
 
 gate: $(READY)
 	$(BIN)/wclm bench gate

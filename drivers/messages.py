@@ -26,6 +26,8 @@ class Scan:
     range_min, range_max  limits that the sensor states, metres (range_max may be inf)
     mount         [x, y, heading] of the lidar in the base's frame, T_base_lidar; None if unknown
     lidar         number of the lidar on the robot: 0 for the first, which is the only one on most, 1 for the second
+    intensities   (n,) strengths of the returns in the lidar's own unit, higher is stronger; None if unknown. For
+                  display only, never used by the estimator
     """
 
     stamp: float
@@ -36,6 +38,7 @@ class Scan:
     range_max: float
     mount: Pose | None = None
     lidar: int = 0
+    intensities: Floats | None = None
 
     @property
     def duration(self) -> float:

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from .errors import ConfigurationError
+from .errors import ConfigurationError, shortened
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
@@ -208,7 +208,7 @@ def _validated(data: dict[str, Any], place: str) -> Config:
         return Config.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        name = ".".join(str(part) for part in first["loc"])
+        name = shortened(".".join(str(part) for part in first["loc"]))
         message = first["msg"].removeprefix("Value error, ")
         reason = message[:1].lower() + message[1:]
         if first["type"] == "model_type":

@@ -49,7 +49,13 @@ class PoseGraphError(SlamError):
 def first_line(error: BaseException) -> str:
     """Return the first line of an error's text that is not empty, cut to MAX_LENGTH, else the name of its type."""
     text = next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
-    return text if len(text) <= MAX_LENGTH else text[: MAX_LENGTH - 1] + "…"
+    return shortened(text)
+
+
+def shortened(text: str) -> str:
+    """Return a text as one line, cut to MAX_LENGTH."""
+    line = " ".join(text.split())
+    return line if len(line) <= MAX_LENGTH else line[: MAX_LENGTH - 1] + "…"
 
 
 __all__ = [
@@ -63,4 +69,5 @@ __all__ = [
     "RecordingError",
     "SlamError",
     "first_line",
+    "shortened",
 ]

@@ -130,6 +130,7 @@ LIDAR_OPTIONS = COMMON_OPTIONS | {
     "range_max": Option(_parse_positive, "metres; farther measurements count as no return"),
 }
 MODE_OPTION = Option(_parse_text, "the name of a scan mode; the error for a wrong name lists the modes")
+STRAY_OPTION = Option(_parse_flag, "0 keeps weak points that belong to no surface; LD06 and LD19 only")
 SERIAL_OPTION = Option(_parse_text, "accept only the device with this serial number")
 WHEEL_OPTIONS = COMMON_OPTIONS | {
     "wheel_radius": Option(_parse_pair, "metres; `0.0331,0.0329` if left and right differ"),
@@ -151,7 +152,11 @@ DEVICE_KINDS: dict[str, DeviceKind] = {
         description="all RPLIDARs: A1 to A3, S1 to S3, C1. The baud rate is detected; "
         "the scan mode is the device's typical one",
     ),
-    "ld06": DeviceKind(True, LIDAR_OPTIONS, description="LDROBOT LD06 and LD19"),
+    "ld06": DeviceKind(
+        True,
+        LIDAR_OPTIONS | {"stray_filter": STRAY_OPTION},
+        description="LDROBOT LD06, LD19 and STL-27L. The baud rate is detected",
+    ),
     "scip": DeviceKind(True, LIDAR_OPTIONS | {"serial": SERIAL_OPTION}, description="Hokuyo's lidars with SCIP 2.0"),
     "create2": DeviceKind(False, WHEEL_OPTIONS, description="iRobot Create 2, Roomba from the 500 series on"),
     "kobuki": DeviceKind(False, WHEEL_OPTIONS, description="Kobuki; its gyro's heading is used"),

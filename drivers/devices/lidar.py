@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from ..lidars.measurements import Decoder
+from ..lidars.measurements import Decoder, Flags, StructuredArray
 from ..lidars.revolutions import RevolutionAssembler
 from ..messages import Message
 from ..transport import Received, Transport
@@ -22,6 +22,7 @@ class LidarStream(NamedTuple):
     period, size   of its packets: seconds and bytes
     limits         metres: minimum and maximum range stated by the device
     whole_packets  True if each packet is a scan
+    find_strays    returns which samples of a revolution are no surface, if the lidar sends such
     remainder      bytes of the stream that arrived with the response that began it
     """
 
@@ -31,6 +32,7 @@ class LidarStream(NamedTuple):
     limits: tuple[float, float]
     whole_packets: bool = False
     remainder: Received = Received(b"", 0.0)
+    find_strays: Callable[[StructuredArray], Flags] | None = None
 
 
 class LidarDevice(Device):
@@ -63,6 +65,7 @@ class LidarDevice(Device):
             self._options.get("mount"),
             self._options.get("upside_down", False),
             stream.whole_packets,
+            stream.find_strays if self._options.get("stray_filter", True) else None,
         )
         self._stamper = PacketStamper(stream.period, stream.size)
         self._stream, self._remainder = stream, stream.remainder
@@ -89,6 +92,8 @@ class LidarDevice(Device):
                 revolutions=self._assembler.counters.complete,
                 incomplete_revolutions=self._assembler.counters.incomplete,
             )
+            if self._stream.find_strays is not None:
+                counts.update(stray_points=self._assembler.counters.stray_points)
             counts.update(self._stamper.counters())
         return dict(counts)
 

@@ -10,6 +10,7 @@ from serial.tools import list_ports
 
 from ..errors import PortError
 from ..transport import CapturingTransport, ReplayTransport, SerialPort, TcpConnection, Transport
+from .board_ports import board_ports
 from .device_spec import AUTO, CAPTURE_PREFIX, DeviceSpec
 
 PERMANENT_NAMES = Path("/dev/serial/by-id")
@@ -18,16 +19,26 @@ PERMANENT_NAMES = Path("/dev/serial/by-id")
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """A serial port: its path, and the description that its adapter reports."""
+    """A serial port: its path, its description, and whether the system's console is there."""
 
     path: str
     description: str
+    is_console: bool = False
 
 
 def serial_ports() -> list[Port]:
-    """Return the serial ports of adapters and boards, without the host's built-in ports, which lead nowhere."""
+    """Return the serial ports of adapters and of boards on USB, without the computer's own ports."""
     found = [Port(port.device, port.description or "") for port in list_ports.comports() if port.vid is not None]
     return sorted(found, key=lambda port: port.path)
+
+
+def built_in_ports() -> list[Port]:
+    """Return the UARTs of the board, for example on the pins of a Raspberry Pi; see `board_ports`."""
+    text = "UART of this board"
+    return [
+        Port(path, f"{text}, the system's console" if is_console else text, is_console)
+        for path, is_console in board_ports().items()
+    ]
 
 
 def permanent_names(address: str) -> list[str]:

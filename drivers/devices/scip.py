@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,9 @@ class ScipDevice(LidarDevice):
         self._parameters = Parameters.parse(reply)
         self.serial = _field(_request(transport, scip.VERSION), "SERI")
         self.identity = f"Hokuyo {self._parameters.model}, serial number {self.serial}"
+        with suppress(NoResponseError):  # not every model has it
+            state = _field(_request(transport, scip.STATE), "STAT")
+            self.identity += f", {state}" if state else ""
         self.check_serial(transport)
 
     def halt(self, transport: Transport) -> None:

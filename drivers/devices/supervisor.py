@@ -33,7 +33,7 @@ RETRY_PAUSES = (0.1, 0.3, 1.0, 2.0)
 """Seconds between attempts to find a lost device; the last one is repeated."""
 
 NORMAL_COUNTERS = frozenset(
-    {"messages", "bytes_read", "connections", "packets", "samples", "revolutions", "good", "readings"}
+    {"messages", "bytes_read", "connections", "packets", "samples", "revolutions", "stray_points", "good", "readings"}
 )
 """Counters of normal operation; all others count faults."""
 

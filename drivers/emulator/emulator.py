@@ -15,7 +15,6 @@ import numpy as np
 
 from ..bases.interface import Velocity
 from ..errors import RecordingError
-from ..lidars import ld06
 from ..realtime import realtime_priority
 from ..simulation import LidarModel, World, load_world, warm_up
 from ..timestamps import wall_clock_offset
@@ -26,7 +25,7 @@ from .device import EmulatedDevice
 from .emulator_setup import EmulatorSetup
 from .ground_truth import GroundTruthWriter
 from .keyboard import Keyboard, apply_keys
-from .ld06 import EmulatedLd06
+from .ld06 import LD06_VARIANTS, EmulatedLd06
 from .pty_port import PtyPort
 from .robot_motion import CommandedPilot, PathPilot, RobotMotion
 from .rplidar import EmulatedRplidar
@@ -104,8 +103,10 @@ class Emulator:
             noise: LidarModel = replace(setup.noise, range_min=range_min, range_max=range_max)
             return BeamModel(self.motion, np.array(setup.mount, dtype=np.float64), noise, random)
 
-        if setup.lidar == "ld06":
-            return EmulatedLd06(setup.lidar, SerialLine(ld06.BAUD), drift, beams(ld06.RANGE_MIN, ld06.RANGE_MAX))
+        if setup.lidar in LD06_VARIANTS:
+            model = LD06_VARIANTS[setup.lidar]
+            limits = beams(model.range_min, model.range_max)
+            return EmulatedLd06(setup.lidar, SerialLine(model.baud), drift, limits, model)
         if setup.lidar == "scip":
             return EmulatedScip(setup.lidar, SerialLine(math.inf), drift, beams(URG.range_min, URG.range_max))
         kind = rplidar_variants.RPLIDAR_VARIANTS[setup.lidar]

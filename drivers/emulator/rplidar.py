@@ -9,7 +9,7 @@ import numpy as np
 
 from ..lidars.rplidar.decoding import descriptor_of
 from ..lidars.rplidar.models import DEFAULT_PWM, Motor
-from ..lidars.rplidar.modes import ScanMode, configuration_response
+from ..lidars.rplidar.modes import ROTATION_LIMITS, ScanMode, configuration_response
 from ..lidars.rplidar.requests import Command, Request, RequestReader
 from ..lidars.rplidar.responses import Descriptor, Health, HealthStatus, ResponseType
 from ..messages import Floats
@@ -177,13 +177,15 @@ class EmulatedRplidar(EmulatedDevice):
             self._turning_since = None
 
     def _set_motor(self, rate: float, time: float) -> None:
-        """Set the rotation rate in revolutions per second; a motor started by the scan does not stop before the scan
-        has ended.
+        """Set the rotation rate in revolutions per second, within the limits that the device reports.
+
+        A motor started by the scan does not stop before the scan has ended.
         """
         device_time = self.to_device_time(time)
         if rate > 0.0:
             self._phase = (float(self._head(np.array([device_time]))[0]), device_time)
-            self._rate = rate
+            low, high = (limit / 60.0 for limit in ROTATION_LIMITS.values())
+            self._rate = min(max(rate, low), high)
             if self._turning_since is None:
                 self._turning_since = device_time
                 if self._scan is not None:

@@ -17,7 +17,6 @@ from .serial_line import SerialLine
 
 URG = Parameters("URG-04LX(Hokuyo Automatic Co.,Ltd.)", 0.02, 5.6, 1024, 44, 725, 384, 600.0)
 IDENTITY = ("VEND:Hokuyo Automatic Co.,Ltd.", "PROD:SOKUIKI Sensor URG-04LX", "FIRM:3.3.00", "PROT:SCIP 2.0", "SERI:H0")
-STATE = ("MODL:URG-04LX", "LASR:OFF", "SCSP:600", "MESM:IDLE", "SBPS:USB", "STAT:sensor is working normally")
 UNKNOWN, WRONG_STEPS = "0E", "04"
 """Status of an unknown command, and of invalid steps."""
 MAX_COMMAND_LENGTH = 64
@@ -75,7 +74,7 @@ class EmulatedScip(EmulatedDevice):
         texts: dict[bytes, tuple[bytes, ...]] = {
             **dict.fromkeys((b"BM", b"SCIP2.0", b"TM0", b"TM2", b"QT", b"RS"), ()),
             b"VV": encode_text_lines(IDENTITY),
-            b"II": encode_text_lines(STATE),
+            b"II": encode_text_lines(self._state(time)),
             b"PP": URG.lines(),
         }
         if match is not None and (match[1] == b"M") == (match[6] is not None):
@@ -96,6 +95,19 @@ class EmulatedScip(EmulatedDevice):
             return
         self.requests += 1
         self.line.send(reply.packet(), time)
+
+    def _state(self, time: float) -> tuple[str, ...]:
+        """Return the lines of state and condition."""
+        measuring = self._task is not None
+        return (
+            "MODL:URG-04LX",
+            f"LASR:{'ON' if measuring else 'OFF'}",
+            f"SCSP:{round(URG.speed)}",
+            f"MESM:{'Measuring by Normal Mode' if measuring else 'Idle'}",
+            "SBPS:USB",
+            f"TIME:{self._clock(self.to_device_time(time)):06X}",
+            "STAT:sensor is working normally",
+        )
 
     def _start_measuring(self, line: bytes, match: re.Match[bytes], time: float) -> None:
         """Start a measurement request."""

@@ -1,6 +1,8 @@
-"""LDROBOT LD06 and LD19: a one-way stream of packets of 12 measurements, turning clockwise."""
+"""LDROBOT LD06, LD19 and STL-27L: a one-way stream of packets of 12 measurements, turning clockwise."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,12 +20,37 @@ from .measurements import (
     to_counter_clockwise,
 )
 
-BAUD = 230400
 POINTS = 12
-SAMPLE_RATE = 4500.0
-"""Measurements per second."""
-RANGE_MIN, RANGE_MAX = 0.02, 12.0
-"""Metres, from the data sheets."""
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """A lidar with this stream, from its data sheet.
+
+    baud         bits per second
+    sample_rate  measurements per second
+    range_min, range_max  metres
+    has_strays   True if stray points must be filtered by their intensity
+    """
+
+    name: str
+    baud: int
+    sample_rate: float
+    range_min: float
+    range_max: float
+    has_strays: bool
+
+
+LD06 = Model("LD06 or LD19", 230400, 4500.0, 0.02, 12.0, True)
+STL_27L = Model("STL-27L", 921600, 21600.0, 0.03, 25.0, False)
+MODELS = (LD06, STL_27L)
+
+
+def model_at(baud: int) -> Model:
+    """Return the model that sends at a baud rate; an LD06 if none of them usually does."""
+    return next((model for model in MODELS if model.baud == baud), LD06)
+
+
 POINT = np.dtype([("distance", "<u2"), ("intensity", "u1")])
 LAYOUT = np.dtype(
     [
@@ -79,12 +106,13 @@ def checksums_match(packets: Bytes) -> Flags:
 class Ld06Decoder:
     """`Decoder` of the stream. The device's clock, which wraps every 30 s, is unwrapped."""
 
-    def __init__(self, sample_rate: float = SAMPLE_RATE, baud: float = BAUD) -> None:
+    def __init__(self, model: Model = LD06, baud: float | None = None) -> None:
+        """`baud` if it is not the model's own, as behind a converter."""
         self.counters = DecoderCounters()
-        self.sample_rate = sample_rate
+        self.sample_rate = sample_rate = model.sample_rate
         layout = PacketLayout(LAYOUT.itemsize, ((0xFF, HEADER), (0xFF, LENGTH)), checksums_match)
         self._framer = PacketFramer(layout, self.counters)
-        self._offsets = -(LAYOUT.itemsize * 10.0 / baud + np.arange(POINTS - 1, -1, -1) / sample_rate)
+        self._offsets = -(LAYOUT.itemsize * 10.0 / (baud or model.baud) + np.arange(POINTS - 1, -1, -1) / sample_rate)
         self._angle: int | None = None  # of the last sample, in 1/1100 degree
         self._time: int | None = None  # of the last packet, milliseconds, unwrapped
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..messages import Floats, Scan
 from ..se2 import Pose
-from .measurements import Measurements, StructuredArray
+from .measurements import NO_QUALITY, Flags, Measurements, StructuredArray
 
 MIN_SPAN = np.radians(300.0)
 """Radians that a complete revolution must span. Two lost capsules of an RPLIDAR leave a gap of 30 to 50 degrees."""
@@ -26,10 +27,11 @@ MAX_SAMPLES = 1 << 15
 
 @dataclass(slots=True)
 class RevolutionCounters:
-    """Numbers of revolutions that became scans, and of those with too large a loss or a lost start."""
+    """Numbers of revolutions that became scans, of those with too large a loss or a lost start, and of stray points."""
 
     complete: int = 0
     incomplete: int = 0
+    stray_points: int = 0
 
 
 def make_scan(
@@ -53,7 +55,10 @@ def make_scan(
     order = np.lexsort((np.isnan(ranges), angles))
     order = order[np.diff(angles[order], prepend=-np.inf) > 0.0]
     first = float(stamps[order].min())
-    return Scan(first, ranges[order], angles[order], stamps[order] - first, range_min, range_max, mount)
+    quality = samples["quality"][order].astype(np.float64)
+    intensities = None if (quality == NO_QUALITY).all() else quality
+    offsets = stamps[order] - first
+    return Scan(first, ranges[order], angles[order], offsets, range_min, range_max, mount, intensities=intensities)
 
 
 class RevolutionAssembler:
@@ -62,6 +67,7 @@ class RevolutionAssembler:
     range_min, range_max, mount, upside_down  of the lidar, for the scans (see `make_scan`)
     whole_packets  if True, each packet is one scan, as with SCIP; otherwise a scan reaches from one start to the next,
                    and samples before the first start are discarded
+    find_strays    returns which samples of a revolution are no surface; None: the lidar sends none
     """
 
     def __init__(
@@ -71,9 +77,10 @@ class RevolutionAssembler:
         mount: Pose | None = None,
         upside_down: bool = False,
         whole_packets: bool = False,
+        find_strays: Callable[[StructuredArray], Flags] | None = None,
     ) -> None:
         self.range_min, self.range_max, self.mount, self.upside_down = range_min, range_max, mount, upside_down
-        self.whole_packets = whole_packets
+        self.whole_packets, self._find_strays = whole_packets, find_strays
         self.counters = RevolutionCounters()
         self.reset()
 
@@ -112,6 +119,10 @@ class RevolutionAssembler:
             self.counters.incomplete += 1
             return []
         self.counters.complete += 1
+        if self._find_strays is not None:
+            stray = self._find_strays(samples)
+            samples["range"][stray] = np.nan
+            self.counters.stray_points += int(np.count_nonzero(stray))
         return [make_scan(samples, stamps, self.range_min, self.range_max, self.mount, self.upside_down)]
 
 

@@ -48,6 +48,7 @@ class RecordingInfo:
     range_limits: tuple[float, float] | None = None  # as stated by the sensor
     ranges: tuple[float, float] | None = None  # smallest and largest measured range
     invalid_share: float | None = None  # of all beams
+    intensities: tuple[float, float] | None = None  # of the returns, in the lidar's own unit
     time_offsets: tuple[float, float] | None = None  # of beams relative to their scan's stamp; (0, 0) if unknown
     mounts: list[tuple[float, float, float]] = field(default_factory=list)
     path_length: float = 0.0  # by odometry, without its jumps
@@ -70,6 +71,8 @@ class _ScanStatistics:
     offsets: tuple[float, float] = (np.inf, -np.inf)
     mounts: dict[bytes, tuple[float, float, float]] = field(default_factory=dict)
     without_mount: int = 0
+    weakest: float = np.inf
+    strongest: float = -np.inf
     last: Scan | None = None
 
     def add(self, scan: Scan) -> None:
@@ -80,6 +83,10 @@ class _ScanStatistics:
         if len(valid):
             self.nearest = min(self.nearest, float(valid.min()))
             self.farthest = max(self.farthest, float(valid.max()))
+        if scan.intensities is not None:
+            strengths = scan.intensities[~np.isnan(scan.ranges) & np.isfinite(scan.intensities)]
+            self.weakest = min(self.weakest, float(strengths.min(initial=np.inf)))
+            self.strongest = max(self.strongest, float(strengths.max(initial=-np.inf)))
         low, high = self.offsets
         self.offsets = min(low, float(scan.time_offsets.min())), max(high, float(scan.time_offsets.max()))
         if scan.mount is None:
@@ -124,6 +131,7 @@ def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
     info.range_limits = scans.last.range_min, scans.last.range_max
     info.ranges = (scans.nearest, scans.farthest) if scans.farthest > 0 else None
     info.invalid_share = scans.invalid / sum(scans.beams)
+    info.intensities = (scans.weakest, scans.strongest) if scans.strongest >= scans.weakest else None
     info.time_offsets = scans.offsets
     info.mounts = list(scans.mounts.values())
 

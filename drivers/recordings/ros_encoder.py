@@ -90,7 +90,7 @@ class RosEncoder:
             range_min=_float32(scan.range_min),
             range_max=_float32(scan.range_max),
             ranges=scan.ranges.astype(np.float32),
-            intensities=np.zeros(0, dtype=np.float32),
+            intensities=np.asarray([] if scan.intensities is None else scan.intensities, dtype=np.float32),
         )
         return bytes(self.store.serialize_cdr(message, LASER_SCAN))
 

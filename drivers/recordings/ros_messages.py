@@ -163,9 +163,18 @@ def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1
     angles = _steps(start, step, count)
     if mount.upside_down:
         angles = -angles
+    strengths = intensities_of(message)
     if count > 1 and angles[1] < angles[0]:
         angles, ranges, offsets = angles[::-1].copy(), ranges[::-1].copy(), offsets[::-1].copy()
-    return Scan(stamp_of(message.header, received), ranges, angles, offsets, low, high, mount.pose)
+        strengths = None if strengths is None else strengths[::-1].copy()
+    stamp = stamp_of(message.header, received)
+    return Scan(stamp, ranges, angles, offsets, low, high, mount.pose, intensities=strengths)
+
+
+def intensities_of(message: Any) -> Floats | None:
+    """Return the intensities of a LaserScan; None if it does not have one for each beam."""
+    found = np.asarray(message.intensities, dtype=np.float64)
+    return found if len(found) == len(message.ranges) else None
 
 
 def exact_scan_of(message: Any, stamp: float, mount: Pose | None) -> Scan:

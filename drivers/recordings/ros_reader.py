@@ -31,6 +31,7 @@ from .ros_messages import (
     LidarMount,
     decode,
     exact_scan_of,
+    intensities_of,
     planar_pose,
     ranges_of,
     scan_of,
@@ -133,7 +134,10 @@ class RosReader(RecordingReader):
             mounts[frame] = contents.find_mount(frame)
         if beams is not None and beams.received == stored.received:
             exact = decode(beams.data, BEAMS, beams.encoding)
-            return exact_scan_of(exact, stamp, mounts[frame].pose)
+            scan = exact_scan_of(exact, stamp, mounts[frame].pose)
+            strengths = intensities_of(message)
+            fits = strengths is not None and len(strengths) == len(scan.ranges)
+            return replace(scan, intensities=strengths) if fits else scan
         scan = scan_of(message, stored.received, mounts[frame], per_metre)
         return replace(scan, ranges=np.where(scan.ranges < no_return, scan.ranges, np.nan))
 

@@ -33,8 +33,19 @@ def describe_machine() -> dict[str, str | int]:
 
 def peak_memory() -> float:
     """Return the largest memory of this process so far, MiB."""
-    with suppress(OSError, StopIteration):
-        lines = MEMORY_STATUS.read_text(encoding="utf-8").splitlines()
-        return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / (1 << 10)
+    if (known := _memory_status("VmHWM:")) is not None:
+        return known
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+def resident_memory() -> float | None:
+    """Return the present memory of this process, MiB; None if the system does not say."""
+    return _memory_status("VmRSS:")
+
+
+def _memory_status(name: str) -> float | None:
+    with suppress(OSError, StopIteration):
+        lines = MEMORY_STATUS.read_text(encoding="utf-8").splitlines()
+        return int(next(line for line in lines if line.startswith(name)).split()[1]) / (1 << 10)
+    return None

@@ -25,11 +25,22 @@ from drivers.ros2.encoder import (
 from drivers.ros2.link import DEFAULT, LATCHED, MOVING_TRANSFORMS, Link
 from drivers.ros2.names import NodeNames
 
-from ..events import Event, Finished, KeyframeAdded, MapUpdated, Notice, ScanTracked, StateChanged, SuspectFound
+from ..events import (
+    Event,
+    Finished,
+    KeyframeAdded,
+    LoopDecided,
+    MapUpdated,
+    Notice,
+    ScanTracked,
+    StateChanged,
+    SuspectFound,
+)
 from ..geometry.segments import Floats
 from ..io.exports import Occupancy
 from ..io.exports.live_grid import LiveGrid
 from ..localisation.state import LocalisationStatus
+from ..loop_closure.loop_status import LoopStatus
 from ..mapping.map_features import MapCorners, MapWalls
 from ..pose_extrapolation import ExtrapolatedPose, PoseExtrapolator
 from .parameters import NodeParameters
@@ -41,9 +52,10 @@ MARKER_TOPIC = "slam_toolbox/graph_visualization"
 """Topic of the markers, as in slam_toolbox."""
 DIAGNOSTICS_PERIOD = 1.0
 """Seconds between two messages while the state stays the same."""
-WALL_WIDTH, CORNER_SIZE, PATH_WIDTH = 0.05, 0.12, 0.03
+WALL_WIDTH, CORNER_SIZE, PATH_WIDTH, CLOSURE_WIDTH = 0.05, 0.12, 0.03, 0.04
 """Metres."""
 WALL_COLOUR, CORNER_COLOUR, PATH_COLOUR = (0.1, 0.3, 0.8, 1.0), (0.9, 0.4, 0.1, 1.0), (0.2, 0.6, 0.2, 1.0)
+CLOSURE_COLOUR = (0.8, 0.1, 0.6, 1.0)
 LEVELS = {
     LocalisationStatus.OK: Level.OK,
     LocalisationStatus.DEGENERATE: Level.WARN,
@@ -58,6 +70,7 @@ class _RunState:
     extrapolator     extrapolates the pose of the last scan
     transform_stamp  stamp of the last odometry reading with a transform, `status_stamp` that of the last status
     counts           sizes of map and graph
+    closures         keyframe at which each loop was closed -> keyframe that saw the place before
     """
 
     extrapolator: PoseExtrapolator = field(default_factory=PoseExtrapolator)
@@ -65,6 +78,7 @@ class _RunState:
     status_stamp: float = float("-inf")
     status: LocalisationStatus = LocalisationStatus.OK
     counts: dict[str, str] = field(default_factory=dict)
+    closures: dict[int, int] = field(default_factory=dict)
     notice: str = ""
     suspects: list[str] = field(default_factory=list)
 
@@ -135,6 +149,8 @@ class NodeOutputs:
             case MapUpdated():
                 self._grid.move(event.keyframes)
                 self._publish_markers(event.stamp, event.walls, event.corners, event.keyframes)
+            case LoopDecided():
+                self._keep_closure(event)
             case StateChanged():
                 self._run.status = LocalisationStatus(event.state)
                 self._publish_status(event.stamp)
@@ -191,12 +207,22 @@ class NodeOutputs:
         name = f"{self._node}: localisation"
         self._put_diagnostics(self._encoder.status(stamp - self.shift, name, level, text, values))
 
+    def _keep_closure(self, event: LoopDecided) -> None:
+        closures = self._run.closures
+        if event.status == LoopStatus.ACCEPTED:
+            closures[event.index] = event.old
+        elif event.status == LoopStatus.RETRACTED:  # with those that were closed after it
+            self._run.closures = {index: old for index, old in closures.items() if index < event.index}
+
     def _publish_markers(self, stamp: float, walls: MapWalls, corners: MapCorners, path: Floats) -> None:
         ends = walls.piece_points()[0].reshape(-1, 2)
+        pairs = [pair for pair in self._run.closures.items() if max(pair) < len(path)]
+        closures = path[np.array(pairs, dtype=np.int64).ravel(), :2]
         drawings: Sequence[Drawing] = (
             Drawing("walls", Shape.LINE_LIST, ends, WALL_WIDTH, WALL_COLOUR),
             Drawing("corners", Shape.POINTS, corners.position, CORNER_SIZE, CORNER_COLOUR),
             Drawing("path", Shape.LINE_STRIP, path[:, :2], PATH_WIDTH, PATH_COLOUR),
+            Drawing("closures", Shape.LINE_LIST, closures, CLOSURE_WIDTH, CLOSURE_COLOUR),
         )
         self._put_markers(self._encoder.markers(stamp - self.shift, self._parameters.map_frame, drawings))
 

@@ -143,6 +143,10 @@ def difference(one: Message, other: Message) -> str | None:
     for name in ("ranges", "angles", "time_offsets"):
         if not np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True):
             return f"{name} {getattr(one, name)} is not {getattr(other, name)}"
+    if (one.intensities is None) != (other.intensities is None):
+        return "intensities"
+    if one.intensities is not None and not np.array_equal(one.intensities, other.intensities):
+        return f"intensities {one.intensities} are not {other.intensities}"
     if (one.range_min, one.range_max) != (other.range_min, other.range_max):
         return "limits"
     if (one.mount is None) != (other.mount is None):

@@ -50,6 +50,8 @@ def test_a_wrong_override_is_named(override: str, message: str) -> None:
     ("content", "message"),
     [
         (b"[lidar]\nsigma_rang = 0.02\n", "a.toml: lidar.sigma_rang: no such setting"),
+        (b'[lidar]\n"a\\nb" = 0.02\n', "a.toml: lidar.a b: no such setting"),
+        (b"[lidar]\n" + b"9" * 5000 + b" = 1\n", "9…: no such setting"),
         (b"lidar = 3\n", "a.toml: lidar: must be a group of settings"),
         (b"[lidar\n", "a.toml: invalid TOML: "),
         (b"\xff\xfe", "a.toml: invalid TOML: "),

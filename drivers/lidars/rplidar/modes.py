@@ -5,7 +5,7 @@ typical one is used.
 from __future__ import annotations
 
 import struct
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -25,12 +25,18 @@ class ConfigEntry(IntEnum):
     """Entries of the configuration. Those from 0x71 to 0x7F, except COUNT and TYPICAL, exist for each mode."""
 
     ROTATION = 0x01
+    MIN_ROTATION = 0x04
+    MAX_ROTATION = 0x05
     COUNT = 0x70
     SAMPLE_PERIOD = 0x71
     MAX_DISTANCE = 0x74
     RESPONSE_TYPE = 0x75
     TYPICAL = 0x7C
     NAME = 0x7F
+
+
+ROTATION_LIMITS: Mapping[int, int] = {ConfigEntry.MIN_ROTATION: 300, ConfigEntry.MAX_ROTATION: 1200}
+"""Revolutions per minute between which the heads of RPLIDARs turn, from the data sheets of all models together."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,12 +118,16 @@ def echo(request: Request) -> bytes:
 def configuration_response(request: Request, modes: Modes, rotation: tuple[int, int] = (600, 660)) -> bytes | None:
     """Return the payload with which a device with these modes responds to a configuration request; None if the entry is
     unknown.
+
+    rotation  desired speed in revolutions per minute, and the PWM duty that gives it
     """
     entry = struct.unpack("<I", request.payload[:4])[0] if len(request.payload) >= 4 else -1
     number = struct.unpack("<H", request.payload[4:6])[0] if len(request.payload) >= 6 else -1
     mode = next((mode for mode in modes.modes if mode.id == number), None)
     if entry == ConfigEntry.ROTATION:
         data = struct.pack("<HH", *rotation)
+    elif entry in ROTATION_LIMITS:
+        data = struct.pack("<H", ROTATION_LIMITS[entry])
     elif entry == ConfigEntry.COUNT:
         data = struct.pack("<H", len(modes.modes))
     elif entry == ConfigEntry.TYPICAL:

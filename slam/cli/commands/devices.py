@@ -11,6 +11,8 @@ from ..console import print_if_slow, print_message
 if TYPE_CHECKING:
     from drivers.devices.device_spec import DeviceSpec
 
+CONSOLE = "not probed; to use it, switch the console off"
+
 
 def devices(
     specs: Annotated[
@@ -45,14 +47,15 @@ def devices(
 def _list() -> None:
     from concurrent.futures import ThreadPoolExecutor
 
-    from drivers.devices.ports import serial_ports
+    from drivers.devices.ports import built_in_ports, serial_ports
     from drivers.devices.probing import probe
 
-    ports = serial_ports()
+    ports = [*serial_ports(), *built_in_ports()]
     if not ports:
         print_message("no serial port found; is an adapter connected?")
     with ThreadPoolExecutor() as pool, print_if_slow("probing the serial ports; takes up to half a minute"):
-        for port, answer in zip(ports, pool.map(probe, [port.path for port in ports]), strict=True):
+        answers = pool.map(lambda port: CONSOLE if port.is_console else probe(port.path), ports)
+        for port, answer in zip(ports, answers, strict=True):
             typer.echo(f"{port.path}  {port.description}\n    {answer}")
 
 

@@ -54,6 +54,8 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
         )
     if found.invalid_share is not None:
         rows.append(("no-return", f"{100 * found.invalid_share:.1f} % of the beams"))
+    if found.intensities is not None:
+        rows.append(("intensity", "{:g} to {:g}, in the lidar's own unit".format(*found.intensities)))
     for x, y, heading in found.mounts:
         rows.append(("lidar", f"mounted at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(heading):.1f} degrees"))
     rows.append(("odometry", _count(found.odometry, found.odometry_rate) + f", {found.path_length:.1f} m driven"))

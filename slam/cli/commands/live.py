@@ -40,6 +40,7 @@ from .live_options import (
     PortOption,
     RecordFileOption,
     ServeOption,
+    StatusOption,
     WebAddressOption,
     WebOption,
 )
@@ -77,6 +78,7 @@ def live(
     port: PortOption = None,
     web: WebOption = False,
     web_address: WebAddressOption = None,
+    status: StatusOption = None,
     plot: PlotOption = False,
 ) -> None:
     """Map online with a lidar, and a wheel base if there is one, until Ctrl-C; then write the results.
@@ -87,6 +89,7 @@ def live(
     from ..run_setup import prepare_run, without_odometry
     from ..run_summary import format_summary
     from ..slam_run import run_slam
+    from ..status_file import StatusFile
     from ..terminal_keys import TerminalKeys
     from .live_input import LiveInput
     from .live_web import open_page
@@ -104,7 +107,8 @@ def live(
         open_page(web_address) if with_page else nullcontext() as page,
     ):
         keys = TerminalKeys()
-        live_input = LiveInput(specs, record, duration, server, driving, keys, page)
+        status_file = None if status is None else StatusFile(status, out)
+        live_input = LiveInput(specs, record, duration, server, driving, keys, page, status_file)
         result = run_slam(
             live_input,
             setup,

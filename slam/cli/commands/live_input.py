@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ...visualisation.live_page import PageServer
     from ...visualisation.rerun_log import ViewerServer
     from ..message_pump import MessagePump
+    from ..status_file import StatusFile
     from ..terminal_keys import TerminalKeys
 
 STOP_MESSAGE = "stopping and saving the map; Ctrl-C again discards it"
@@ -37,6 +38,7 @@ class LiveInput:
     driving    limits of driving with `keys`; None: the robot is not driven
     keys       keys of the terminal
     page       page that shows the run and acts on the devices, if any
+    status     file with the state of the run, if any
 
     failure  error that ended the messages early, if any; the messages before it are mapped
     """
@@ -50,6 +52,7 @@ class LiveInput:
         driving: DriveLimits | None,
         keys: TerminalKeys,
         page: PageServer | None,
+        status: StatusFile | None = None,
     ) -> None:
         from drivers.devices.acquisition import Acquisition
         from drivers.messages import SourceReport
@@ -64,7 +67,7 @@ class LiveInput:
         self.failure: DriverError | None = None
         several = sum(spec.is_lidar for spec in specs) > 1  # whose scans must come in the order of their stamps
         self._acquisition = Acquisition(specs, recording, driving=driving, in_order=several)
-        self._page = page
+        self._page, self._status = page, status
         self._control = None if page is None else PageControl(page, self._acquisition, driving)
         if page is not None:
             page.state.poses_of_scans = all(spec.is_lidar for spec in specs)
@@ -74,7 +77,7 @@ class LiveInput:
         if driving is not None:
             keys.add(Teleoperation(self._acquisition, driving).handle)
         self._extrapolator = PoseExtrapolator()
-        self.sinks: Sequence[Sink] = (self._dashboard, self._extrapolator)
+        self.sinks: Sequence[Sink] = (self._dashboard, self._extrapolator, *([] if status is None else [status]))
 
     @contextmanager
     def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
@@ -144,6 +147,8 @@ class LiveInput:
                 monitor.show(snapshot)
                 if self._control is not None:
                     self._control.show(snapshot)
+                if self._status is not None:
+                    self._status.show(snapshot)
                 self._check_recording(snapshot)
                 idle()
 
@@ -155,6 +160,8 @@ class LiveInput:
                 self.failure = error
             self._check_recording(self._acquisition.snapshot)
             count_losses(self.report, self._acquisition.snapshot)
+            if self._status is not None:
+                self._status.close(self._acquisition.snapshot, "" if self.failure is None else str(self.failure))
 
     def _check_recording(self, snapshot: Snapshot) -> None:
         """Print a problem of the recording once: it ends the recording but not the mapping."""

@@ -31,3 +31,7 @@ WebAddressOption = Annotated[
         "the URL contains a password.",
     ),
 ]
+StatusOption = Annotated[
+    Path | None,
+    typer.Option("--status", metavar="FILE.json", help="File with the state of the run, written once a second."),
+]

@@ -23,7 +23,7 @@ def save(
 ) -> None:
     """Save the map of a live run now; the run goes on.
 
-    A live run also saves its map every minute, if the key s is pressed in its terminal, and on SIGUSR1.
+    A live run also saves its map every 45 seconds, if the key s is pressed in its terminal, and on SIGUSR1.
 
     Example: [bold]wclm save map[/bold]
     """

@@ -55,14 +55,14 @@ def clockless_lidar() -> tuple[LidarStream, float, Sent]:
 
 def clocked_lidar() -> tuple[LidarStream, float, Sent]:
     """Return a lidar stream with device time, on a clock that runs slow, its samples per second, and its bytes."""
-    rate, size = ld06.SAMPLE_RATE, ld06.LAYOUT.itemsize
+    rate, size = ld06.LD06.sample_rate, ld06.LAYOUT.itemsize
     data, samples = b"", np.arange(int(SECONDS * rate)).reshape(-1, ld06.POINTS)
     for row in samples:
         bearings = 2 * np.pi * TURNS / rate * row[None, [0, -1]]
         ranges, bright = 1.0 + row[None] % RANGE_PERIOD / 1e3, np.full((1, ld06.POINTS), 200)
         data += ld06.encode(bearings, ranges, bright, 2 * np.pi * TURNS, row[-1] / rate / 1.0001)
     stream = LidarStream(ld06.Ld06Decoder(), ld06.POINTS / rate, size, (0.1, 40.0))
-    return stream, rate, Sent(data, size, START + samples[:, -1] / rate + size * 10 / ld06.BAUD)
+    return stream, rate, Sent(data, size, START + samples[:, -1] / rate + size * 10 / ld06.LD06.baud)
 
 
 def clockless_base() -> tuple[WheelBaseDevice, float, Sent]:

@@ -145,7 +145,7 @@ def test_closed_and_unread_ports_are_counted_separately(bench: MakeBench) -> Non
     packets = int((3.0 - 1.0) * 375)
     assert counts.unheard == pytest.approx(packets * 47, abs=94)
     assert counts.sent == counts.overrun == 0
-    host = robot.open("lidar", ld06.BAUD)
+    host = robot.open("lidar", ld06.LD06.baud)
     robot.hosts.remove(host)  # open, but not read
     unheard = counts.unheard
     robot.go(3.0)
@@ -180,7 +180,7 @@ def test_corrupted_bytes_arrive_as_counted(bench: MakeBench) -> None:
     streams = []
     for chances in ({}, {"drop": 2e-4, "insert": 2e-4, "flip": 2e-4}):
         robot = bench(lidar="ld06", seed=4, **chances)
-        host = robot.open("lidar", ld06.BAUD)
+        host = robot.open("lidar", ld06.LD06.baud)
         robot.go(5.0)
         streams.append(host.data)
     counts = robot.emulator.lidar.report()

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from drivers.emulator.ld06 import LD06_VARIANTS
 from drivers.emulator.rplidar_scan import BURST_DURATION
 from drivers.emulator.rplidar_variants import RPLIDAR_VARIANTS
 from drivers.emulator.scip import URG
@@ -42,8 +43,9 @@ def started(bench: Bench, lidar: str, mode: str) -> tuple[Host, Decoder, float]:
     """Return a scanning lidar, its decoder, and the resolution of its ranges; all bytes read from now on are
     measurements.
     """
-    if lidar == "ld06":
-        return bench.open("lidar", ld06.BAUD), ld06.Ld06Decoder(), 0.0006
+    if lidar in LD06_VARIANTS:
+        model = LD06_VARIANTS[lidar]
+        return bench.open("lidar", model.baud), ld06.Ld06Decoder(model), 0.0006
     if lidar == "scip":
         host = bench.open("lidar")
         host.port.write(scip.LASER_ON + MEASURE.packet())
@@ -71,7 +73,7 @@ def scans_of(measurements: Measurements, stamps: Floats, whole: bool = False) ->
     return RevolutionAssembler(0.02, 40.0, whole_packets=whole).add(measurements, stamps)
 
 
-@pytest.mark.parametrize(("lidar", "mode"), [*RPLIDARS, ("ld06", ""), ("scip", "")])
+@pytest.mark.parametrize(("lidar", "mode"), [*RPLIDARS, ("ld06", ""), ("stl-27l", ""), ("scip", "")])
 def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: str) -> None:
     robot = bench(lidar=lidar)
     robot.go(1.0)  # the robot stands still at first
@@ -102,6 +104,7 @@ def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: 
         ("rplidar-s1", "DenseBoost", 9200.0, 10.0),
         ("rplidar-a1", "Sensitivity", 1e6 / 127, 7.5),
         ("ld06", "", 4500.0, 10.0),
+        ("stl-27l", "", 21600.0, 10.0),
     ],
 )
 def test_lidars_turn_clockwise_at_their_rate(
@@ -116,6 +119,16 @@ def test_lidars_turn_clockwise_at_their_rate(
     assert len(scans) >= 1.8 * turns
     assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(1.0 / turns, rel=0.02)
     assert all(scan.time_offsets[0] > scan.time_offsets[-1] for scan in scans)  # angles increase, times decrease
+
+
+@pytest.mark.parametrize(("wanted", "turns"), [(60, 5.0), (900, 15.0), (6000, 20.0)])
+def test_an_rplidar_turns_within_its_limits(bench: MakeBench, wanted: int, turns: float) -> None:
+    robot = bench(lidar="rplidar-s1", drive="base")
+    host, decoder, _ = started(robot, "rplidar-s1", "DenseBoost")
+    host.port.write(requests.set_motor_speed(wanted).packet())
+    robot.go(2.5)
+    scans = scans_of(*measured(host, decoder))
+    assert np.median(np.diff([scan.stamp for scan in scans])[-10:]) == pytest.approx(1.0 / turns, rel=0.02)
 
 
 def test_scip_turns_counter_clockwise_and_sends_its_clock(bench: MakeBench) -> None:
@@ -172,6 +185,10 @@ def test_an_rplidar_reports_its_identity_health_and_modes(bench: MakeBench, lida
                 found: modes.Modes = done.value
                 return found
 
+    for entry, limit in modes.ROTATION_LIMITS.items():
+        request = requests.get_configuration(modes.ConfigEntry(entry))
+        payload = host.ask(request, ResponseReader(ResponseType.CONFIGURATION, prefix=modes.echo(request)))
+        assert payload == modes.echo(request) + limit.to_bytes(2, "little")
     found = query_modes()
     assert [(m.name, m.response_type) for m in found.modes] == [(m.name, m.response_type) for m in kind.modes.modes]
     assert found.choose().sample_period == pytest.approx(kind.modes.choose().sample_period, rel=1e-3)
@@ -261,6 +278,9 @@ def test_scip_replies_to_all_commands(bench: MakeBench) -> None:
     clocks = [scip.parse_clock(reply.lines[0]) for _ in range(2) for reply in ask(scip.CLOCK)]
     assert clocks[0] is not None
     assert clocks[1] == pytest.approx(clocks[0] + 350, abs=3)
+    (state,) = ask(scip.STATE)
+    assert len(state.packet().split(b"\n")) == 2 + 7 + 2  # Hokuyo's library expects exactly these lines
+    assert all(scip.strip_checksum(line) is not None for line in state.lines)
     assert ask(b"XX\n")[0].status == "0E"
     assert ask(b"MD0000999901000\n")[0].status == "04"
     once = ask(scip.MeasureRequest(100, 200, cluster=3, continuous=False, width=2).packet())

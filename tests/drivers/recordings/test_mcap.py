@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 
-from drivers import GroundTruth, Message, Odometry, RecordingError, Scan
+from drivers import GroundTruth, Message, Odometry, RecordingError, Scan, inspect
 from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.recordings.ros_encoder import quaternion_of
 from drivers.timestamps import to_nanoseconds, to_seconds
@@ -47,8 +48,12 @@ def test_uneven_beams_are_read_back_bit_for_bit(tmp_path: Path, assert_same: Sam
         scan(1.1, [0.1, 0.2], [0.0, 1 / 3]),
         scan(1.2, [7.7], [0.123456789]),
         scan(1.2, [7.7, np.nan], [0.0, 1.0]),
+        replace(scan(1.3, [7.7, np.nan, 1.0], [0.0, 0.3, 1.0]), intensities=np.array([47.0, 0.0, 12.0])),
+        replace(scan(1.4, [7.7, 2.0, 1.0], [0.0, 0.5, 1.0]), intensities=np.array([255.0, 0.0, 65535.0])),
     ]
-    assert_same(list(McapReader(record(tmp_path / "a.mcap", messages))), messages)
+    reader = McapReader(record(tmp_path / "a.mcap", messages))
+    assert_same(list(reader), messages)
+    assert inspect(reader).intensities == (0.0, 65535.0)  # of beams with a return
 
 
 def test_each_mount_is_read_back(tmp_path: Path, assert_same: Same) -> None:

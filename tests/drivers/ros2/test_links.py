@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import socket
 import struct
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
 from contextlib import closing
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +16,13 @@ from drivers.recordings.ros_messages import decode
 from drivers.ros2.encoder import GRID, Grid, NodeEncoder
 from drivers.ros2.link import DEFAULT, LATCHED, SENSOR_DATA
 from drivers.ros2.names import NodeNames
-from drivers.ros2.selection import PACKAGES, Backend, open_link
+from drivers.ros2.selection import Backend, open_link
 from drivers.ros2.services import PAUSE, encode_request, encode_response, register_service, service_hash, service_store
+
+from .conftest import Received
 
 ROOT = Path(__file__).parents[3]
 PATIENCE = 60.0
-LOOPBACK = """<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>
-<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
-<Peers><Peer Address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
 PEER = """
 import sys, time
 from drivers.ros2.link import DEFAULT, LATCHED, SENSOR_DATA
@@ -43,46 +37,6 @@ sys.stdin.read()
 link.close()
 """
 MAP = NodeEncoder().grid(1.0, "map", Grid(np.arange(6, dtype=np.int8).reshape(2, 3), np.zeros(2), 0.05))
-
-
-@pytest.fixture(params=[Backend.ZENOH, Backend.DDS])
-def backend(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Backend]:
-    """A kind of link on the loopback interface, in a domain of its own."""
-    kind: Backend = request.param
-    if find_spec(PACKAGES[kind]) is None:
-        pytest.skip(f"{PACKAGES[kind]} is not installed")
-    monkeypatch.setenv("ROS_DOMAIN_ID", "93")
-    monkeypatch.setenv("CYCLONEDDS_URI", LOOPBACK)
-    monkeypatch.delenv("ROS_DISTRO", raising=False)
-    if kind is Backend.DDS:
-        yield kind
-        return
-    import zenoh
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = json.dumps([f"tcp/127.0.0.1:{free.getsockname()[1]}"])
-    monkeypatch.setenv("ZENOH_CONFIG_OVERRIDE", f'connect/endpoints={address};listen/endpoints=["tcp/127.0.0.1:0"]')
-    router = f'{{mode: "router", listen: {{endpoints: {address}}}, scouting: {{multicast: {{enabled: false}}}}}}'
-    with zenoh.open(zenoh.Config.from_json5(router)):
-        yield kind
-
-
-class Received:
-    """Receiver of messages."""
-
-    def __init__(self) -> None:
-        self.messages: list[bytes] = []
-        self._changed = threading.Condition()
-
-    def __call__(self, data: bytes) -> None:
-        with self._changed:
-            self.messages.append(data)
-            self._changed.notify_all()
-
-    def wait(self, timeout: float) -> bool:
-        with self._changed:
-            return self._changed.wait_for(lambda: bool(self.messages), timeout)
 
 
 def test_messages_travel_between_processes(backend: Backend) -> None:

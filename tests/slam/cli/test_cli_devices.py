@@ -89,3 +89,33 @@ def test_device_monitor_prints_changes_without_a_terminal(capsys: pytest.Capture
         "wclm: ld06:/dev/a lost: /dev/a: connection lost",
         "wclm: ld06:/dev/a connected again on /dev/a",
     ]
+
+
+def test_uarts_of_a_board_are_listed_and_its_console_is_not_probed(
+    wclm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminals = tmp_path / "class"
+    tree = {
+        "ttyAMA0": "soc/fe201000.serial",  # as with older kernels
+        "ttyS0": "soc/fe215040.serial/fe215040.serial:0/fe215040.serial:0.0",  # with a bus of serial ports
+        "ttyS4": "pnp0/00:04",  # of a PC, without an entry in a device tree
+        "ttyUSB0": "soc/usb1/1-1/1-1:1.0/ttyUSB0",
+    }
+    for name, place in tree.items():
+        device = tmp_path / "devices" / place
+        device.mkdir(parents=True)
+        (terminals / name).mkdir(parents=True)
+        (terminals / name / "device").symlink_to(device)
+    for uart in ("soc/fe201000.serial", "soc/fe215040.serial", "soc/usb1"):
+        (tmp_path / "devices" / uart / "of_node").mkdir()
+    (terminals / "console").mkdir()
+    (terminals / "console" / "active").write_text("tty1 ttyS0\n")
+    monkeypatch.setattr("drivers.devices.board_ports.TERMINALS", terminals)
+    monkeypatch.setattr("drivers.devices.ports.serial_ports", list)
+    monkeypatch.setattr("drivers.devices.probing.probe", lambda path: f"probed {path}")
+    assert wclm("devices").stdout.splitlines() == [
+        "/dev/ttyAMA0  UART of this board",
+        "    probed /dev/ttyAMA0",
+        "/dev/ttyS0  UART of this board, the system's console",
+        "    not probed; to use it, switch the console off",
+    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import resource
 import signal
@@ -51,6 +52,7 @@ class LiveSession:
     foreign_address_answers  True if an address other than 127.0.0.1 accepted a connection
     ended   exit status, stdout and stderr
     report  report of the emulator
+    states  content of the status file during the run and after it
     """
 
     run: LiveRun
@@ -60,6 +62,7 @@ class LiveSession:
     foreign_address_answers: bool
     ended: tuple[int, str, str]
     report: dict[str, Any]
+    states: list[dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +70,12 @@ def live_session(tmp_path_factory: pytest.TempPathFactory) -> LiveSession:
     """Live run of DURATION seconds in the office."""
     folder = tmp_path_factory.mktemp("live")
     with Robot(folder) as robot:
-        run = LiveRun(robot, folder / "map", "--record", str(folder / "drive.mcap"))
+        options = ("--record", str(folder / "drive.mcap"), "--status", str(folder / "status.json"))
+        run = LiveRun(robot, folder / "map", *options)
         url = run.line("wclm: view with: ").split()[-1]
         begun = time.monotonic()
         time.sleep(DURATION / 3)
+        states = [json.loads((folder / "status.json").read_text())]
         run.process.send_signal(signal.SIGUSR1)  # saving must not change the results
         views = [keyframes_sent(url, folder / "early.rrd", more_than=FIRST_KEYFRAMES)]
         foreign_address_answers = accepts_connection("127.0.0.2", int(url.split(":")[-1].split("/")[0]))
@@ -78,7 +83,8 @@ def live_session(tmp_path_factory: pytest.TempPathFactory) -> LiveSession:
         views.append(keyframes_sent(url, folder / "late.rrd", more_than=len(views[0])))
         ended = run.end()
         report = robot.stop()
-    return LiveSession(run, robot.truth, folder / "drive.mcap", views, foreign_address_answers, ended, report)
+    states.append(json.loads((folder / "status.json").read_text()))
+    return LiveSession(run, robot.truth, folder / "drive.mcap", views, foreign_address_answers, ended, report, states)
 
 
 def keyframes_sent(url: str, file: Path, more_than: int, timeout: float = 120.0) -> set[int]:
@@ -155,6 +161,16 @@ def test_no_measurement_is_lost(live_session: LiveSession) -> None:
     assert live_session.report["lidar"]["samples"] - lidar["samples"] < revolution  # the last packets
     assert lidar["samples"] / revolution - lidar["revolutions"] < 2  # the first and the last revolution are incomplete
     assert live_session.report["base"]["readings"] - base["good"] < 10
+
+
+def test_the_status_file_shows_the_run(live_session: LiveSession) -> None:
+    during, after = live_session.states
+    assert (during["running"], after["running"], after["failure"]) == (True, False, "")
+    assert [device["state"] for device in during["devices"]] == ["running", "running"]
+    assert (after["scans"], after["map"]["walls"] > 10) == (live_session.run.summary["scans"], True)
+    assert len(after["pose"]) == 3
+    assert after["recording"] == {"seconds": pytest.approx(DURATION, abs=30.0), "problem": ""}
+    assert after["free_disk"] > 0.0
 
 
 def test_no_drive_command_is_sent_without_the_option(live_session: LiveSession) -> None:
