@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers import se2
+from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats
 
@@ -45,42 +45,65 @@ def landmark_covariances(joint: Floats, poses: Floats, frames: Floats, positions
     frames     (n, 3) of the walls
     positions  (m, 2) of the corners
     """
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    rotations = np.zeros((len(poses), 3, 3))
-    rotations[:, 0, 0] = rotations[:, 1, 1] = c
-    rotations[:, 0, 1], rotations[:, 1, 0], rotations[:, 2, 2] = -s, s, 1.0
-    of_poses = _blocks(joint, 3 * np.arange(len(poses)), 3)
-    joint, pose = joint[3 * len(poses) - 3 :, 3 * len(poses) - 3 :], poses[-1]  # from the last keyframe on
-    starts = np.cumsum([3, *(3 for _ in frames), *(2 for _ in positions)])
-    wall_covariances = _relative(joint, starts[: len(frames)], 3, se2.adjoint(se2.between(frames, pose)))
-    lever = positions - pose[:2]
-    jacobian = np.zeros((len(positions), 2, 3))
-    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = -lever[:, 1], lever[:, 0]
-    corner_covariances = _relative(joint, starts[len(frames) : -1], 2, jacobian @ rotations[-1])
+    of_poses, walls, corners, walls_in_map, corners_in_map = _relative_to_last(
+        np.ascontiguousarray(joint),  # GTSAM's are stored by columns: the function would be compiled again
+        poses,
+        frames,
+        positions,
+    )
     return LandmarkCovariances(
-        rotations @ of_poses @ rotations.transpose(0, 2, 1),
-        wall_covariances[:, 1:, 1:],
-        corner_covariances,
-        ROBUST_COVARIANCE_SCALE * _blocks(joint, starts[: len(frames)] + 1, 2),  # without the position along the wall
-        ROBUST_COVARIANCE_SCALE * _blocks(joint, starts[len(frames) : -1], 2),
+        of_poses, walls, corners, ROBUST_COVARIANCE_SCALE * walls_in_map, ROBUST_COVARIANCE_SCALE * corners_in_map
     )
 
 
-def _relative(joint: Floats, starts: NDArray[np.signedinteger], size: int, jacobian: Floats) -> Floats:
-    """Return the covariances (n, size, size) of landmarks relative to the pose whose covariance is joint[:3, :3].
+@compiled
+def _relative_to_last(joint, poses, frames, positions):  # type: ignore[no-untyped-def]
+    """Return the arrays of `LandmarkCovariances`, not yet scaled.
 
-    starts    (n,) first row of each landmark in the joint covariance
-    jacobian  (n, size, 3) change of each landmark if it moves with the pose
+    A landmark moves by J if the last pose moves. Its covariance relative to that pose is S + J P J' - C J' - J C', with
+    those of the landmark, S, of the pose, P, and between them, C.
     """
-    rows = starts[:, None] + np.arange(size)
-    own, cross = joint[:3, :3], joint[rows, :3] @ jacobian.transpose(0, 2, 1)
-    return np.asarray(
-        _blocks(joint, starts, size) + jacobian @ own @ jacobian.transpose(0, 2, 1) - cross - cross.transpose(0, 2, 1)
-    )
+    last, x, y = 3 * len(poses) - 3, poses[-1, 0], poses[-1, 1]
+    of_poses = np.empty((len(poses), 3, 3))
+    for k in range(len(poses)):
+        rotation = _rotation(poses[k, 2])
+        of_poses[k] = rotation @ joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3].copy() @ rotation.T
+    own, rotation = joint[last : last + 3, last : last + 3].copy(), _rotation(poses[-1, 2])
+    walls, walls_in_map = np.empty((len(frames), 2, 2)), np.empty((len(frames), 2, 2))
+    for k in range(len(frames)):
+        at = last + 3 + 3 * k
+        c, s = math.cos(frames[k, 2]), math.sin(frames[k, 2])
+        dx, dy = x - frames[k, 0], y - frames[k, 1]
+        adjoint = _rotation(poses[-1, 2] - frames[k, 2])  # of the last pose in the wall's frame
+        adjoint[0, 2], adjoint[1, 2] = c * dy - s * dx, -c * dx - s * dy
+        walls[k] = _relative(joint, own, adjoint, last, at)[1:, 1:]
+        walls_in_map[k] = joint[at + 1 : at + 3, at + 1 : at + 3]  # without the position along the wall
+    corners, corners_in_map = np.empty((len(positions), 2, 2)), np.empty((len(positions), 2, 2))
+    jacobian = np.zeros((2, 3))
+    for k in range(len(positions)):
+        at = last + 3 + 3 * len(frames) + 2 * k
+        jacobian[:, :2] = rotation[:2, :2]
+        jacobian[0, 2], jacobian[1, 2] = y - positions[k, 1], positions[k, 0] - x
+        corners[k] = _relative(joint, own, jacobian, last, at)
+        corners_in_map[k] = joint[at : at + 2, at : at + 2]
+    return of_poses, walls, corners, walls_in_map, corners_in_map
 
 
-def _blocks(joint: Floats, starts: NDArray[np.signedinteger], size: int) -> Floats:
-    """Return the blocks (n, size, size) on the diagonal of a joint covariance that begin in some rows (n,)."""
-    rows = starts[:, None] + np.arange(size)
-    return np.asarray(joint[rows[:, :, None], rows[:, None, :]])
+@inlined
+def _rotation(heading):  # type: ignore[no-untyped-def]
+    """Return the rotation (3, 3) of small motions from a frame with a heading to the map's axes."""
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+@inlined
+def _relative(joint, own, jacobian, last, at):  # type: ignore[no-untyped-def]
+    """Return the covariance (n, n) of a landmark relative to the last pose, see `_relative_to_last`.
+
+    own       (3, 3) covariance of the pose
+    jacobian  (n, 3) J
+    last, at  first rows of the pose and of the landmark in the joint covariance
+    """
+    end = at + len(jacobian)
+    cross = joint[at:end, last : last + 3].copy() @ jacobian.T
+    return joint[at:end, at:end] + jacobian @ own @ jacobian.T - cross - cross.T
