@@ -64,46 +64,59 @@ def _relative_to_last(joint, poses, frames, positions):  # type: ignore[no-untyp
     those of the landmark, S, of the pose, P, and between them, C.
     """
     last, x, y = 3 * len(poses) - 3, poses[-1, 0], poses[-1, 1]
-    of_poses = np.empty((len(poses), 3, 3))
+    of_poses, jacobian = np.empty((len(poses), 3, 3)), np.zeros((3, 3))
+    jacobian[2, 2] = 1.0
     for k in range(len(poses)):
-        rotation = _rotation(poses[k, 2])
-        of_poses[k] = rotation @ joint[3 * k : 3 * k + 3, 3 * k : 3 * k + 3].copy() @ rotation.T
-    own, rotation = joint[last : last + 3, last : last + 3].copy(), _rotation(poses[-1, 2])
+        _rotate(jacobian, poses[k, 2])
+        for r in range(3):
+            for c in range(3):
+                of_poses[k, r, c] = _product(jacobian, joint, 3 * k, r, c)
     walls, walls_in_map = np.empty((len(frames), 2, 2)), np.empty((len(frames), 2, 2))
     for k in range(len(frames)):
-        at = last + 3 + 3 * k
+        _rotate(jacobian, poses[-1, 2] - frames[k, 2])  # the adjoint of the last pose in the wall's frame
         c, s = math.cos(frames[k, 2]), math.sin(frames[k, 2])
         dx, dy = x - frames[k, 0], y - frames[k, 1]
-        adjoint = _rotation(poses[-1, 2] - frames[k, 2])  # of the last pose in the wall's frame
-        adjoint[0, 2], adjoint[1, 2] = c * dy - s * dx, -c * dx - s * dy
-        walls[k] = _relative(joint, own, adjoint, last, at)[1:, 1:]
-        walls_in_map[k] = joint[at + 1 : at + 3, at + 1 : at + 3]  # without the position along the wall
+        jacobian[0, 2], jacobian[1, 2] = c * dy - s * dx, -c * dx - s * dy
+        _relative(joint, jacobian, 1, last, last + 3 + 3 * k, walls[k], walls_in_map[k])  # not along the wall
     corners, corners_in_map = np.empty((len(positions), 2, 2)), np.empty((len(positions), 2, 2))
-    jacobian = np.zeros((2, 3))
+    _rotate(jacobian, poses[-1, 2])
     for k in range(len(positions)):
-        at = last + 3 + 3 * len(frames) + 2 * k
-        jacobian[:, :2] = rotation[:2, :2]
         jacobian[0, 2], jacobian[1, 2] = y - positions[k, 1], positions[k, 0] - x
-        corners[k] = _relative(joint, own, jacobian, last, at)
-        corners_in_map[k] = joint[at : at + 2, at : at + 2]
+        at = last + 3 + 3 * len(frames) + 2 * k
+        _relative(joint, jacobian, 0, last, at, corners[k], corners_in_map[k])
     return of_poses, walls, corners, walls_in_map, corners_in_map
 
 
 @inlined
-def _rotation(heading):  # type: ignore[no-untyped-def]
-    """Return the rotation (3, 3) of small motions from a frame with a heading to the map's axes."""
+def _rotate(jacobian, heading):  # type: ignore[no-untyped-def]
+    """Set the upper left block (2, 2) of a Jacobian to the rotation by a heading."""
     c, s = math.cos(heading), math.sin(heading)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    jacobian[0, 0], jacobian[0, 1], jacobian[1, 0], jacobian[1, 1] = c, -s, s, c
 
 
 @inlined
-def _relative(joint, own, jacobian, last, at):  # type: ignore[no-untyped-def]
-    """Return the covariance (n, n) of a landmark relative to the last pose, see `_relative_to_last`.
+def _product(jacobian, joint, at, r, c):  # type: ignore[no-untyped-def]
+    """Return the element (r, c) of J P J' with the covariance P of the pose that begins in row `at`."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += jacobian[r, i] * joint[at + i, at + j] * jacobian[c, j]
+    return total
 
-    own       (3, 3) covariance of the pose
-    jacobian  (n, 3) J
+
+@inlined
+def _relative(joint, jacobian, skipped, last, at, relative, in_map):  # type: ignore[no-untyped-def]
+    """Compute the covariances (2, 2) of a landmark relative to the last pose, see `_relative_to_last`, and in the map.
+
+    skipped   first rows of J and of the landmark that are left out
     last, at  first rows of the pose and of the landmark in the joint covariance
     """
-    end = at + len(jacobian)
-    cross = joint[at:end, last : last + 3].copy() @ jacobian.T
-    return joint[at:end, at:end] + jacobian @ own @ jacobian.T - cross - cross.T
+    for r in range(2):
+        for c in range(2):
+            row, column = skipped + r, skipped + c
+            cross = 0.0
+            for i in range(3):
+                cross += joint[at + row, last + i] * jacobian[column, i]
+                cross += joint[at + column, last + i] * jacobian[row, i]
+            in_map[r, c] = joint[at + row, at + column]
+            relative[r, c] = in_map[r, c] + _product(jacobian, joint, last, row, column) - cross
