@@ -68,9 +68,9 @@ def _relative_to_last(joint, poses, frames, positions):  # type: ignore[no-untyp
     jacobian[2, 2] = 1.0
     for k in range(len(poses)):
         _rotate(jacobian, poses[k, 2])
-        for r in range(3):
-            for c in range(3):
-                of_poses[k, r, c] = _product(jacobian, joint, 3 * k, r, c)
+        for row in range(3):
+            for column in range(3):
+                of_poses[k, row, column] = _product(jacobian, joint, 3 * k, row, column)
     walls, walls_in_map = np.empty((len(frames), 2, 2)), np.empty((len(frames), 2, 2))
     for k in range(len(frames)):
         _rotate(jacobian, poses[-1, 2] - frames[k, 2])  # the adjoint of the last pose in the wall's frame
