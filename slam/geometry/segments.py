@@ -76,8 +76,10 @@ def corner_bias_slopes(segments: Segments, corners: CornerPoints) -> Floats:
     c, s = np.cos(frames[..., 2]), np.sin(frames[..., 2])
     from_centre = corners.position[:, None] - frames[..., :2]
     along = c * from_centre[..., 0] + s * from_centre[..., 1]
-    shift = slopes[..., 0] + along * slopes[..., 1]
-    return np.asarray(np.linalg.solve(np.stack([-s, c], axis=-1), shift[..., None])[..., 0])
+    (c1, c2), (s1, s2), (first, second) = c.T, s.T, (slopes[..., 0] + along * slopes[..., 1]).T
+    determinant = c1 * s2 - s1 * c2  # of the equations c y - s x = shift across each line
+    corner = np.stack([c2 * first - c1 * second, s2 * first - s1 * second], axis=-1)
+    return np.asarray(corner / determinant[:, None])
 
 
 def without_range_bias(segments: Segments, corners: CornerPoints, bias: float) -> tuple[Segments, CornerPoints]:

@@ -60,6 +60,16 @@ def log_determinant(matrix):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
+    """True if a symmetric matrix (3, 3) is positive definite."""
+    a, b, c = matrix[0, 0], matrix[1, 0], matrix[2, 0]
+    if not a > 0.0:
+        return False
+    d, e, f = matrix[1, 1] - b * b / a, matrix[2, 1] - b * c / a, matrix[2, 2] - c * c / a
+    return d > 0.0 and f - e * e / d > 0.0
+
+
+@inlined
 def quadratic_form(matrix, x, y, z):  # type: ignore[no-untyped-def]
     """Return v' M v with the vector v = (x, y, z)."""
     squares = matrix[0, 0] * x * x + matrix[1, 1] * y * y + matrix[2, 2] * z * z

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers import se2
+from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats
 
@@ -45,42 +45,78 @@ def landmark_covariances(joint: Floats, poses: Floats, frames: Floats, positions
     frames     (n, 3) of the walls
     positions  (m, 2) of the corners
     """
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    rotations = np.zeros((len(poses), 3, 3))
-    rotations[:, 0, 0] = rotations[:, 1, 1] = c
-    rotations[:, 0, 1], rotations[:, 1, 0], rotations[:, 2, 2] = -s, s, 1.0
-    of_poses = _blocks(joint, 3 * np.arange(len(poses)), 3)
-    joint, pose = joint[3 * len(poses) - 3 :, 3 * len(poses) - 3 :], poses[-1]  # from the last keyframe on
-    starts = np.cumsum([3, *(3 for _ in frames), *(2 for _ in positions)])
-    wall_covariances = _relative(joint, starts[: len(frames)], 3, se2.adjoint(se2.between(frames, pose)))
-    lever = positions - pose[:2]
-    jacobian = np.zeros((len(positions), 2, 3))
-    jacobian[:, 0, 0] = jacobian[:, 1, 1] = 1.0
-    jacobian[:, 0, 2], jacobian[:, 1, 2] = -lever[:, 1], lever[:, 0]
-    corner_covariances = _relative(joint, starts[len(frames) : -1], 2, jacobian @ rotations[-1])
+    of_poses, walls, corners, walls_in_map, corners_in_map = _relative_to_last(
+        np.ascontiguousarray(joint),  # GTSAM's are stored by columns: the function would be compiled again
+        poses,
+        frames,
+        positions,
+    )
     return LandmarkCovariances(
-        rotations @ of_poses @ rotations.transpose(0, 2, 1),
-        wall_covariances[:, 1:, 1:],
-        corner_covariances,
-        ROBUST_COVARIANCE_SCALE * _blocks(joint, starts[: len(frames)] + 1, 2),  # without the position along the wall
-        ROBUST_COVARIANCE_SCALE * _blocks(joint, starts[len(frames) : -1], 2),
+        of_poses, walls, corners, ROBUST_COVARIANCE_SCALE * walls_in_map, ROBUST_COVARIANCE_SCALE * corners_in_map
     )
 
 
-def _relative(joint: Floats, starts: NDArray[np.signedinteger], size: int, jacobian: Floats) -> Floats:
-    """Return the covariances (n, size, size) of landmarks relative to the pose whose covariance is joint[:3, :3].
+@compiled
+def _relative_to_last(joint, poses, frames, positions):  # type: ignore[no-untyped-def]
+    """Return the arrays of `LandmarkCovariances`, not yet scaled.
 
-    starts    (n,) first row of each landmark in the joint covariance
-    jacobian  (n, size, 3) change of each landmark if it moves with the pose
+    A landmark moves by J if the last pose moves. Its covariance relative to that pose is S + J P J' - C J' - J C', with
+    those of the landmark, S, of the pose, P, and between them, C.
     """
-    rows = starts[:, None] + np.arange(size)
-    own, cross = joint[:3, :3], joint[rows, :3] @ jacobian.transpose(0, 2, 1)
-    return np.asarray(
-        _blocks(joint, starts, size) + jacobian @ own @ jacobian.transpose(0, 2, 1) - cross - cross.transpose(0, 2, 1)
-    )
+    last, x, y = 3 * len(poses) - 3, poses[-1, 0], poses[-1, 1]
+    of_poses, jacobian = np.empty((len(poses), 3, 3)), np.zeros((3, 3))
+    jacobian[2, 2] = 1.0
+    for k in range(len(poses)):
+        _rotate(jacobian, poses[k, 2])
+        for row in range(3):
+            for column in range(3):
+                of_poses[k, row, column] = _product(jacobian, joint, 3 * k, row, column)
+    walls, walls_in_map = np.empty((len(frames), 2, 2)), np.empty((len(frames), 2, 2))
+    for k in range(len(frames)):
+        _rotate(jacobian, poses[-1, 2] - frames[k, 2])  # the adjoint of the last pose in the wall's frame
+        c, s = math.cos(frames[k, 2]), math.sin(frames[k, 2])
+        dx, dy = x - frames[k, 0], y - frames[k, 1]
+        jacobian[0, 2], jacobian[1, 2] = c * dy - s * dx, -c * dx - s * dy
+        _relative(joint, jacobian, 1, last, last + 3 + 3 * k, walls[k], walls_in_map[k])  # not along the wall
+    corners, corners_in_map = np.empty((len(positions), 2, 2)), np.empty((len(positions), 2, 2))
+    _rotate(jacobian, poses[-1, 2])
+    for k in range(len(positions)):
+        jacobian[0, 2], jacobian[1, 2] = y - positions[k, 1], positions[k, 0] - x
+        at = last + 3 + 3 * len(frames) + 2 * k
+        _relative(joint, jacobian, 0, last, at, corners[k], corners_in_map[k])
+    return of_poses, walls, corners, walls_in_map, corners_in_map
 
 
-def _blocks(joint: Floats, starts: NDArray[np.signedinteger], size: int) -> Floats:
-    """Return the blocks (n, size, size) on the diagonal of a joint covariance that begin in some rows (n,)."""
-    rows = starts[:, None] + np.arange(size)
-    return np.asarray(joint[rows[:, :, None], rows[:, None, :]])
+@inlined
+def _rotate(jacobian, heading):  # type: ignore[no-untyped-def]
+    """Set the upper left block (2, 2) of a Jacobian to the rotation by a heading."""
+    c, s = math.cos(heading), math.sin(heading)
+    jacobian[0, 0], jacobian[0, 1], jacobian[1, 0], jacobian[1, 1] = c, -s, s, c
+
+
+@inlined
+def _product(jacobian, joint, at, r, c):  # type: ignore[no-untyped-def]
+    """Return the element (r, c) of J P J' with the covariance P of the pose that begins in row `at`."""
+    total = 0.0
+    for i in range(3):
+        for j in range(3):
+            total += jacobian[r, i] * joint[at + i, at + j] * jacobian[c, j]
+    return total
+
+
+@inlined
+def _relative(joint, jacobian, skipped, last, at, relative, in_map):  # type: ignore[no-untyped-def]
+    """Compute the covariances (2, 2) of a landmark relative to the last pose, see `_relative_to_last`, and in the map.
+
+    skipped   first rows of J and of the landmark that are left out
+    last, at  first rows of the pose and of the landmark in the joint covariance
+    """
+    for r in range(2):
+        for c in range(2):
+            row, column = skipped + r, skipped + c
+            cross = 0.0
+            for i in range(3):
+                cross += joint[at + row, last + i] * jacobian[column, i]
+                cross += joint[at + column, last + i] * jacobian[row, i]
+            in_map[r, c] = joint[at + row, at + column]
+            relative[r, c] = in_map[r, c] + _product(jacobian, joint, last, row, column) - cross

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import chain, islice
+from itertools import islice
 
 import gtsam
 import numpy as np
@@ -30,10 +30,10 @@ THRESHOLDS = {"x": RELINEARIZE_POSE, "p": RELINEARIZE_POSE, "l": RELINEARIZE_WAL
 # keyframes: with every tenth, online poses differ three times as much from those of solving at each keyframe, for 6 %
 # less time.
 RELINEARIZE_SKIP = 3
-# Number of the last factors whose variables are eliminated last, see `_recent`. Origin: measured, on two recordings
-# with some 50 new factors at each update: of 200, 300, 400, 500 and 800, 200 takes the least time on one, a third less
-# than the new factors alone; on the other it takes a quarter less, and 400 two fifths.
-RECENT_FACTORS = 200
+# Number of the last factors whose variables are eliminated late, see `_recent`. Origin: measured, on two recordings
+# with some 50 new factors at each update: of 200, 250, 300, 400 and 600, 200 and 400 take the least time on one, an
+# eighth less than a single group with 200, and 400 on the other.
+RECENT_FACTORS = 400
 
 
 def _isam2(*, qr: bool) -> gtsam.ISAM2:
@@ -201,12 +201,15 @@ class IncrementalSolver:
         """Return the variables of the last factors, to be eliminated last, in the form in which GTSAM takes them.
 
         An update eliminates the variables of the new factors again, and all that were eliminated after these. What was
-        observed in the last metres will be observed again, so that it should come after everything else.
+        observed in the last metres will be observed again, so that it should come after everything else. The variables
+        of the new factors are the very last: they are those whose joint covariance is read back.
         """
         earlier = islice(reversed(self.factors.values()), max(0, RECENT_FACTORS - len(new)))
+        newest = keys_of(new)
+        last = 2 if len(newest) > 2 else 1  # there must be fewer groups than variables to be eliminated
         groups = gtsam.KeyGroupMap()
-        for key in keys_of(chain(earlier, new)):
-            groups.insert2(key, 1)
+        for key in keys_of(earlier) | newest:
+            groups.insert2(key, last if key in newest else 1)
         return groups
 
     def _update_batch(

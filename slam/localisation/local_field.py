@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
@@ -138,11 +140,8 @@ class LocalField:
 
     def reference(self, pose: se2.Pose) -> tuple[int, se2.Pose] | None:
         """Return the oldest keyframe near a pose whose points are in the field, and its pose in the field."""
-        if not len(self._inserted):
-            return None
-        near = np.hypot(*(self._inserted_poses[:, :2] - pose[:2]).T) < REFERENCE_DISTANCE
-        oldest = int(np.where(near, self._inserted, len(self._points)).argmin())
-        return (int(self._inserted[oldest]), self._inserted_poses[oldest]) if near.any() else None
+        oldest = _oldest_near(self._inserted, self._inserted_poses, pose)
+        return None if oldest < 0 else (int(self._inserted[oldest]), self._inserted_poses[oldest])
 
     def nearest_missing(self, poses: Floats, keyframe: int, connected: NDArray[np.bool_]) -> int | None:
         """Return the keyframe nearest to another one, within REFERENCE_DISTANCE, whose points are not in the field.
@@ -169,7 +168,7 @@ class LocalField:
         poses      (k, 3) of all keyframes in the map
         travelled  metres driven up to each keyframe
         """
-        moved = np.abs(poses[self._inserted, :2] - self._inserted_poses[:, :2]).max(initial=0.0)
+        moved = _largest_shift(poses, self._inserted, self._inserted_poses)
         left = self.field.centre_distance(poses[keyframe]) > MAX_CENTRE_DISTANCE
         if moved > MAX_DISPLACEMENT or left or self._outdated:
             self.field, self._inserted, self._linked = DistanceField.empty(poses[keyframe]), self._inserted[:0], True
@@ -188,15 +187,51 @@ class LocalField:
         """Return the keyframes within MAX_PATH of one, along the drive and the links, in ascending order."""
         distance = np.full(len(self._points), np.inf)  # to the keyframe
         distance[keyframe] = 0.0
-        driven = self.ways(travelled[: len(self._points)])
-        one, other = np.array(self._links, dtype=np.int64).reshape(-1, 2).T
-        while True:
-            before = distance.copy()
-            forward = np.minimum.accumulate(distance - driven) + driven
-            backward = np.minimum.accumulate((distance + driven)[::-1])[::-1] - driven
-            distance = np.minimum(distance, np.minimum(forward, backward))
-            linked = np.minimum(distance[one], distance[other])
-            np.minimum.at(distance, one, linked)
-            np.minimum.at(distance, other, linked)
-            if not (distance < before - ROUNDING).any():
-                return np.flatnonzero(distance < MAX_PATH)
+        driven, links = self.ways(travelled[: len(self._points)]), np.array(self._links, dtype=np.int64)
+        _shorten(distance, driven, links.reshape(-1, 2))
+        return np.flatnonzero(distance < MAX_PATH)
+
+
+@compiled
+def _oldest_near(keyframes, poses, pose):  # type: ignore[no-untyped-def]
+    """Return the row of the oldest keyframe within REFERENCE_DISTANCE of a pose; -1 if there is none."""
+    oldest = -1
+    for k in range(len(keyframes)):
+        near = math.hypot(poses[k, 0] - pose[0], poses[k, 1] - pose[1]) < REFERENCE_DISTANCE
+        if near and (oldest < 0 or keyframes[k] < keyframes[oldest]):
+            oldest = k
+    return oldest
+
+
+@compiled
+def _largest_shift(poses, keyframes, former):  # type: ignore[no-untyped-def]
+    """Return the largest change of a coordinate (metres) of some keyframes between `former` poses and those of all."""
+    largest = 0.0
+    for k in range(len(keyframes)):
+        for axis in range(2):
+            largest = max(largest, abs(poses[keyframes[k], axis] - former[k, axis]))
+    return largest
+
+
+@compiled
+def _shorten(distance, driven, links):  # type: ignore[no-untyped-def]
+    """Replace distances (k,) to keyframes, infinite if not known, by those along the drive and along links.
+
+    driven  (k,) metres driven up to each keyframe
+    links   (l, 2) pairs of keyframes at the same place
+    """
+    shorter = True
+    while shorter:
+        before = distance.copy()
+        forward, backward = np.inf, np.inf
+        for k in range(len(distance)):
+            forward = min(forward, before[k] - driven[k])
+            distance[k] = min(distance[k], forward + driven[k])
+        for k in range(len(distance) - 1, -1, -1):
+            backward = min(backward, before[k] + driven[k])
+            distance[k] = min(distance[k], backward - driven[k])
+        for one, other in links:
+            distance[one] = distance[other] = min(distance[one], distance[other])
+        shorter = False
+        for k in range(len(distance)):
+            shorter = shorter or distance[k] < before[k] - ROUNDING

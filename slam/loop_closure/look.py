@@ -270,7 +270,8 @@ def _build(place: OldPlace, local_field: LocalField) -> Submap:
 
 def _position_sigmas(covariances: Floats) -> Floats:
     """Return the standard deviation (n,) in the worst direction of positions with covariances (n, 3, 3)."""
-    return np.asarray(np.sqrt(np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1]))
+    xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
+    return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)))
 
 
 def _squared(pose: se2.Pose, other: se2.Pose, covariance: Floats) -> float:

@@ -88,26 +88,14 @@ def associate(
         pose, covariance, segments.frame, segments.half_length, segments.covariance,
         local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, roughness,
     )  # fmt: skip
-    # The prior probability of a wall is proportional to its observations. With equal priors, two landmarks on one wall
-    # would share its observations by the sign of their error, and each share would confirm that they are two.
-    bonus = 2.0 * np.log(np.maximum(local_map.observations, 1))
-    walls = _assign_greedily(distance, distance - bonus, low, high)
+    walls, wall_distance, nearest_wall = _assign_greedily(distance, local_map.observations, low, high)
     corner_distance = _corner_distances(
         pose, covariance, corners.position, corners.headings, corners.covariance,
         local_map.position, local_map.headings, local_map.corner_covariance, roughness,
     )  # fmt: skip
-    no_extent = np.zeros_like(corner_distance)
-    corner_rows = _assign_greedily(corner_distance, corner_distance, no_extent, no_extent)
-    return Association(walls, *_nearest(distance), corner_rows, *_nearest(corner_distance))
-
-
-def _nearest(distance: Floats) -> tuple[Floats, Integers]:
-    """Return the smallest finite distance of each row and its column; NaN and -1 without one."""
-    if not distance.shape[1]:
-        return np.full(len(distance), np.nan), np.full(len(distance), -1)
-    nearest, row = distance.min(axis=1), distance.argmin(axis=1)
-    finite = np.isfinite(nearest)
-    return np.where(finite, nearest, np.nan), np.where(finite, row, -1)
+    no_extent, equal = np.zeros_like(corner_distance), np.ones(len(local_map.corners), dtype=np.int64)
+    rows, smallest, nearest = _assign_greedily(corner_distance, equal, no_extent, no_extent)
+    return Association(walls, wall_distance, nearest_wall, rows, smallest, nearest)
 
 
 def _ids_of(rows: Integers, landmarks: Integers) -> Integers:
@@ -115,30 +103,44 @@ def _ids_of(rows: Integers, landmarks: Integers) -> Integers:
     return np.where(rows >= 0, landmarks[rows], -1) if len(landmarks) else np.full(len(rows), -1)
 
 
-def _assign_greedily(distance: Floats, cost: Floats, low: Floats, high: Floats) -> Integers:
-    """Assign n features to m landmarks, the pair with the smallest cost first, and return their columns (n,).
+@compiled
+def _assign_greedily(distance, observations, low, high):  # type: ignore[no-untyped-def]
+    """Assign n features to m landmarks, the pair with the smallest cost first.
 
-    distance   (n, m) squared Mahalanobis distances; only pairs within the gate are assigned
-    cost       (n, m) by which the pairs are ordered
-    low, high  (n, m) extent of the feature along the landmark: further features must not overlap with it
+    distance      (n, m) squared Mahalanobis distances; only pairs within the gate are assigned
+    observations  (m,) of each landmark. Its prior probability is proportional to them, so the cost of a pair is its
+                  distance minus twice their logarithm. With equal priors, two landmarks on one wall would share its
+                  observations by the sign of their error, and each share would confirm that they are two
+    low, high     (n, m) extent of the feature along the landmark: further features must not overlap with it
 
-    An unassigned feature with a finite distance is AMBIGUOUS, one without is UNMATCHED.
+    Returns (n,) the columns of the features, of their nearest landmarks, and the distances to these in between; -1 and
+    NaN without one. An unassigned feature with a finite distance is AMBIGUOUS, one without is UNMATCHED.
     """
-    rows = np.where((np.isfinite(distance)).any(axis=1), AMBIGUOUS, UNMATCHED)
-    assigned: dict[int, list[tuple[float, float]]] = {}
-    within = np.flatnonzero(distance < ASSOCIATION_GATE)
-    for flat in within[np.argsort(cost.ravel()[within], kind="stable")]:
-        feature, landmark = divmod(int(flat), distance.shape[1])
-        if rows[feature] >= 0:
+    features, landmarks = distance.shape
+    columns, nearest = np.full(features, UNMATCHED), np.full(features, -1)
+    smallest, cost = np.full(features, np.nan), np.full(features * landmarks, np.inf)
+    for i in range(features):
+        for j in range(landmarks):
+            if not np.isfinite(distance[i, j]):
+                continue
+            columns[i] = AMBIGUOUS
+            if nearest[i] < 0 or distance[i, j] < smallest[i]:
+                smallest[i], nearest[i] = distance[i, j], j
+            if distance[i, j] < ASSOCIATION_GATE:
+                cost[i * landmarks + j] = distance[i, j] - 2.0 * math.log(max(observations[j], 1))
+    within = np.flatnonzero(cost < np.inf)
+    for pair in within[np.argsort(cost[within], kind="mergesort")]:  # stable
+        i, j = divmod(pair, landmarks)
+        if columns[i] >= 0:
             continue
-        span = (low[feature, landmark], high[feature, landmark])
-        others = assigned.setdefault(landmark, [])
-        if all(min(span[1], b) - max(span[0], a) < MAX_OVERLAP_IN_SCAN for a, b in others) and (
-            not others or span[1] > span[0]
-        ):
-            rows[feature] = landmark
-            others.append(span)
-    return rows
+        fits = True
+        for other in range(features):
+            if columns[other] == j:
+                overlap = min(high[i, j], high[other, j]) - max(low[i, j], low[other, j])
+                fits = fits and overlap < MAX_OVERLAP_IN_SCAN and high[i, j] > low[i, j]
+        if fits:
+            columns[i] = j
+    return columns, smallest, nearest
 
 
 @compiled

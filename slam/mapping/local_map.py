@@ -11,6 +11,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.small_matrices import is_positive_definite
 from .landmarks import Landmarks
 
 # Metres between a feature and its landmark, however uncertain the pose: two faces of furniture are this far apart.
@@ -143,10 +144,9 @@ def _drifts_since(keyframes, covariances):  # type: ignore[no-untyped-def]
     for k in np.argsort(keyframes):  # many landmarks share their last keyframe
         if keyframes[k] != keyframe:
             keyframe = keyframes[k]
-            if keyframe == len(covariances) - 1:
-                drift = np.zeros((3, 3))
-            else:
-                values, vectors = np.linalg.eigh(covariances[-1] - covariances[keyframe])
+            drift = covariances[-1] - covariances[keyframe]
+            if keyframe < len(covariances) - 1 and not is_positive_definite(drift):
+                values, vectors = np.linalg.eigh(drift)
                 drift = (vectors * np.maximum(values, 0.0)) @ vectors.T
         drifts[k] = drift
     return drifts

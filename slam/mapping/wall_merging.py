@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers import se2
+from drivers.compiled import compiled
 
+from ..geometry.angles import axes_of, wrap_angle
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import FactorGraph
 from .keyframes import WallMerge
@@ -158,17 +159,31 @@ def find_overlaps(frame: Floats, low: Floats, high: Floats) -> list[Overlap]:
 
     The walls have frames (n, 3) and extend from `low` to `high` (n,) metres along them.
     """
-    heading = frame[:, 2]
-    parallel = np.abs(se2.wrap(heading[None, :] - heading[:, None])) < MAX_MERGE_HEADING
-    first, second = np.nonzero(np.triu(parallel, 1))
-    along, across, turn = se2.between(frame[first], frame[second]).T  # the second wall's frame in the first's
-    start = np.maximum(low[first], along + low[second])
-    end = np.minimum(high[first], along + high[second])
-    middle = 0.5 * (start + end)
-    offset = across + (middle - along) * np.tan(turn)
-    close = (np.abs(offset) < MAX_MERGE_OFFSET) & (end - start > MIN_OVERLAP_LENGTH)
-    columns = (first, second, along, middle, end - start, offset, turn)
-    return [Overlap(*row) for row in zip(*(column[close].tolist() for column in columns), strict=True)]
+    pairs, values = _overlaps(frame, low, high)
+    return [Overlap(*pair, *row) for pair, row in zip(pairs.tolist(), values.tolist(), strict=True)]
+
+
+@compiled
+def _overlaps(frame, low, high):  # type: ignore[no-untyped-def]
+    """Return (m, 2) the pairs of `find_overlaps`, and (m, 5) along, middle, length, offset and turn of each."""
+    most = len(frame) * (len(frame) - 1) // 2
+    pairs, values, count, axes = np.empty((most, 2), np.int64), np.empty((most, 5)), 0, axes_of(frame)
+    for i in range(len(frame)):
+        for j in range(i + 1, len(frame)):
+            turn = wrap_angle(frame[j, 2] - frame[i, 2])
+            if not abs(turn) < MAX_MERGE_HEADING:
+                continue
+            dx, dy, (c, s) = frame[j, 0] - frame[i, 0], frame[j, 1] - frame[i, 1], axes[i]
+            along, across = c * dx + s * dy, c * dy - s * dx  # the second wall's frame in the first's
+            start, end = max(low[i], along + low[j]), min(high[i], along + high[j])
+            middle = 0.5 * (start + end)
+            offset = across + (middle - along) * math.tan(turn)
+            if abs(offset) < MAX_MERGE_OFFSET and end - start > MIN_OVERLAP_LENGTH:
+                pairs[count, 0], pairs[count, 1] = i, j
+                values[count, 0], values[count, 1], values[count, 2] = along, middle, end - start
+                values[count, 3], values[count, 4] = offset, turn
+                count += 1
+    return pairs[:count], values[:count]
 
 
 def _covariance_along(covariance: Floats, along: float) -> Floats:

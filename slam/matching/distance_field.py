@@ -25,10 +25,10 @@ from .offset_tiles import (
     FIELD_CELL,
     MAX_DISTANCE,
     SPAN,
+    TILES_OF_POINT,
     OffsetTiles,
     enter_point,
     metres,
-    number_tiles,
     offset_at,
 )
 
@@ -94,9 +94,12 @@ class DistanceField:
         """Insert the points (p, 4), with normals, of several scans, one after the other; see `insert`."""
         if not len(scans):
             return
-        points, first = np.concatenate(scans), np.cumsum([0, *map(len, scans)])
-        self.offsets.grow(_number_tiles(self.arrays, self.offsets.count, poses, points, first))
-        _insert(self.arrays, poses, points, first)
+        points, first, entered = np.concatenate(scans), np.cumsum([0, *map(len, scans)]), 0
+        while entered < len(points):
+            count, entered = _insert(self.arrays, self.offsets.count, poses, points, first, entered)
+            self.offsets.count = count
+            if entered < len(points):
+                self.offsets.grow()
 
     @property
     def centre(self) -> Floats:
@@ -109,38 +112,20 @@ class DistanceField:
 
 
 @compiled
-def _number_tiles(field, count, poses, points, first):  # type: ignore[no-untyped-def]
-    """Number the tiles that scans change; return the number of tiles then, of which there were `count`.
-
-    The points of scan j, from `first[j]` to before `first[j + 1]`, are in the frame of `poses[j]`.
-    """
-    origin, tile_of, _, seen = field
-    for j in range(len(poses)):
-        c, s = math.cos(poses[j, 2]), math.sin(poses[j, 2])
-        start_x, start_y = poses[j, 0] - origin[0], poses[j, 1] - origin[1]
-        for k in range(first[j], first[j + 1]):
-            x = (start_x + c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
-            y = (start_y + s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
-            if not _surroundings_are_inside(x, y, seen):
-                continue
-            normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
-            for grid in range(ALL_POINTS + 1):
-                if _belongs_to(grid, normal_x, normal_y):
-                    count = number_tiles(tile_of, count, grid, math.floor(x), math.floor(y))
-    return count
-
-
-@compiled
-def _insert(field, poses, points, first):  # type: ignore[no-untyped-def]
+def _insert(field, count, poses, points, first, begin):  # type: ignore[no-untyped-def]
     """Enter the offsets from each point into the cells around it, and mark the cells between it and the robot.
 
-    For the arguments see `_number_tiles`.
+    The points of scan j, from `first[j]` to before `first[j + 1]`, are in the frame of `poses[j]`. Those before `begin`
+    have been entered. Returns the number of tiles, of which there were `count`, and the first point that is not entered
+    as there may be no room for its tiles.
     """
     origin, tile_of, tiles, seen = field
     for j in range(len(poses)):
         c, s = math.cos(poses[j, 2]), math.sin(poses[j, 2])
         start_x, start_y = poses[j, 0] - origin[0], poses[j, 1] - origin[1]
-        for k in range(first[j], first[j + 1]):
+        for k in range(max(begin, first[j]), first[j + 1]):
+            if count + (ALL_POINTS + 1) * TILES_OF_POINT > len(tiles):
+                return count, k
             end_x = start_x + c * points[k, 0] - s * points[k, 1]
             end_y = start_y + s * points[k, 0] + c * points[k, 1]
             _mark_seen(seen, start_x / SEEN_CELL, start_y / SEEN_CELL, end_x / SEEN_CELL, end_y / SEEN_CELL)
@@ -150,7 +135,8 @@ def _insert(field, poses, points, first):  # type: ignore[no-untyped-def]
             normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
             for grid in range(ALL_POINTS + 1):
                 if _belongs_to(grid, normal_x, normal_y) and not _is_known(tile_of, tiles, grid, x, y):
-                    enter_point(tile_of, tiles, grid, x, y)
+                    count = enter_point(tile_of, tiles, count, grid, x, y)
+    return count, len(points)
 
 
 @inlined
@@ -192,10 +178,12 @@ def _mark_seen(seen, x, y, end_x, end_y):  # type: ignore[no-untyped-def]
     """Mark the cells on the line from (x, y) to the end, both in cells."""
     cells = len(seen)
     steps = int(1.5 * max(abs(end_x - x), abs(end_y - y))) + 1
+    step_x, step_y = (end_x - x) / steps, (end_y - y) / steps
+    inside = min(x, y, end_x, end_y) >= 1.0 and max(x, y, end_x, end_y) < cells - 1  # even if rounded
     for k in range(steps + 1):
-        row, column = math.floor(x + (end_x - x) * k / steps), math.floor(y + (end_y - y) * k / steps)
-        if 0 <= row < cells and 0 <= column < cells:
-            seen[row, column] = 1
+        row, column = math.floor(x + k * step_x), math.floor(y + k * step_y)
+        if inside or (0 <= row < cells and 0 <= column < cells):
+            seen[np.uintp(row), np.uintp(column)] = 1
 
 
 @inlined

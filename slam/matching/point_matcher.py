@@ -211,12 +211,28 @@ def point_information(points: Floats) -> Floats:
 
     The noise of a point is FINE_SIGMA along its normal, or in both directions if it has none.
     """
-    x, y, nx, ny = points.T
-    rows = np.column_stack([nx, ny, x * ny - y * nx])
-    clutter = points[(nx == 0.0) & (ny == 0.0)]
-    zero, one = np.zeros(len(clutter)), np.ones(len(clutter))
-    rows = np.vstack([rows, np.column_stack([one, zero, -clutter[:, 1]]), np.column_stack([zero, one, clutter[:, 0]])])
-    return np.asarray(rows.T @ rows / FINE_SIGMA**2)
+    return np.asarray(_sum_of_squares(points) / FINE_SIGMA**2)
+
+
+@compiled
+def _sum_of_squares(points):  # type: ignore[no-untyped-def]
+    """Return J' J (3, 3) with the derivatives J of the offsets of points along their normals by the pose."""
+    total = np.zeros((3, 3))
+    for k in range(len(points)):
+        x, y, normal_x, normal_y = points[k]
+        turn = x * normal_y - y * normal_x
+        if normal_x == 0.0 and normal_y == 0.0:  # along both axes: (1, 0, -y) and (0, 1, x)
+            normal_x, normal_y = 1.0, 1.0
+            total[0, 2], total[1, 2], total[2, 2] = total[0, 2] - y, total[1, 2] + x, total[2, 2] + x * x + y * y
+        else:
+            total[0, 1] += normal_x * normal_y
+            total[0, 2] += normal_x * turn
+            total[1, 2] += normal_y * turn
+            total[2, 2] += turn * turn
+        total[0, 0] += normal_x * normal_x
+        total[1, 1] += normal_y * normal_y
+    total[1, 0], total[2, 0], total[2, 1] = total[0, 1], total[0, 2], total[1, 2]
+    return total
 
 
 @compiled
