@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -34,9 +35,10 @@ class Block:
         return f"{self.page}-{self.number}"
 
     def commands(self) -> list[list[str]]:
-        """Return the words of each line, without comments."""
+        """Return the words of each command, without comments; `&` and `&&` separate commands of one line."""
         lines = [shlex.split(line, comments=True) for line in self.text.splitlines()]
-        return [words for words in lines if words]
+        groups = (groupby(words, lambda word: word in ("&", "&&")) for words in lines)
+        return [list(words) for line in groups for separates, words in line if not separates]
 
 
 def blocks() -> list[Block]:
