@@ -30,9 +30,9 @@ from .scan_points import ScanPoints, segments_of
 MATCH_OFFSET_GATES = np.array([0.40, 0.40, 0.30, 0.20, 0.15, 0.10, 0.10, 0.10])
 # Radians between a wall and a segment, for each Gauss-Newton step. Origin: tuned on Intel, fr079, CSAIL.
 MATCH_HEADING_GATES = np.radians([10.0, 10.0, 9.0, 7.0, 6.0, 5.0, 5.0, 5.0])
-# Information (3, 3) that holds the pose by points alone near the pose by everything, where their distances are linear;
-# far below that of points which determine a direction. Origin: definition, MAX_DISTANCE, and that at 4 m.
-NEARBY = np.diag(np.array([MAX_DISTANCE, MAX_DISTANCE, MAX_DISTANCE / 4.0]) ** -2.0)
+# Information (3, 3) that keeps the pose by points alone near the joint one, where the points' distances are linear in
+# the pose. Points that determine a direction have far more. Origin: definition, MAX_DISTANCE, and that at 4 m.
+LINEAR_RANGE_INFORMATION = np.diag(np.array([MAX_DISTANCE, MAX_DISTANCE, MAX_DISTANCE / 4.0]) ** -2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +134,7 @@ def _register(  # type: ignore[no-untyped-def]
         point_pose[:] = pose
         move_back(pose, solve(total, gradient + point_gradient + prior @ pose_error(prediction, pose)))
     # From where it is linearised, and without the prior: odometry has a factor of its own in the graph.
-    move_back(point_pose, solve(point_information + NEARBY, point_gradient))
+    move_back(point_pose, solve(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
     return pose, information, point_information, point_pose, overlaps.sum()
 
 
