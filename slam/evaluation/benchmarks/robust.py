@@ -32,7 +32,8 @@ from ...pipeline import Slam
 from ...warmup import warm_up
 from ..metrics import MIN_ALIGNED_PAIRS, read_relations, score_reference, score_relations
 from ..scan_agreement import BeamTable, ScanAgreement
-from .robust_drives import RELATIONS, WORLDS, RecordedDrive
+from .robust_drives import RELATIONS, VARIANTS, WORLDS, DriveVariant, RecordedDrive
+from .scenarios.log_variants import play_backwards
 
 Prepare: TypeAlias = Callable[[Source], Config]
 """Returns the settings with what a recording's source determines itself, such as the lidar's delay."""
@@ -43,16 +44,20 @@ changes."""
 
 
 class Job(NamedTuple):
-    """A drive to be mapped: a recording, or a simulated world by name with a seed."""
+    """A drive to be mapped: a recording or a variant of it, or a simulated world by name with a seed."""
 
     recording: RecordedDrive | None
     world: str = ""
     seed: int = 0
+    variant: str = ""
 
     @property
     def name(self) -> str:
         """Name of the drive."""
-        return f"{self.world} {self.seed}" if self.recording is None else self.recording.name
+        if self.recording is None:
+            return f"{self.world} {self.seed}"
+        seed = [str(self.seed)] if self.variant and VARIANTS[self.variant].drawn else []
+        return " ".join([self.recording.name, *[self.variant][: bool(self.variant)], *seed])
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,23 +128,39 @@ def run_jobs(jobs: Sequence[Job], prepare: Prepare, processes: int = 1) -> Itera
 def run_job(job: Job, prepare: Prepare) -> RobustResult:
     """Map one drive and score it. Any failure is a result: the other drives are to be measured anyway."""
     try:
-        return _run_world(job, prepare) if job.recording is None else _run_recording(job.recording, prepare)
+        return _run_world(job, prepare) if job.recording is None else _run_recording(job, job.recording, prepare)
     except Exception as error:
         kind = "" if isinstance(error, SlamError) else f"internal error, {type(error).__name__}: "
         return RobustResult(job.name, failed=f"{kind}{' '.join(str(error).split())}")
 
 
-def _run_recording(drive: RecordedDrive, prepare: Prepare) -> RobustResult:
+def _run_recording(job: Job, drive: RecordedDrive, prepare: Prepare) -> RobustResult:
     source = drivers.open(drive.path)
-    run = _Run(source, prepare(source))
-    stamps = as_recorded(run.finished.stamps, {"recordings": [{"recorded_stamps": source.report.recorded_stamps}]})
-    paths = [(stamps, run.finished.poses), run.odometry_path(source.report.recorded_stamps)]
+    config = prepare(source)
+    messages, mirror = _changed(source, VARIANTS.get(job.variant, DriveVariant()), job.seed)
+    if mirror is not None and config.lidar.delay:
+        config = config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": -config.lidar.delay})})
+    run = _Run(messages, config)
+    read = {"recordings": [{"recorded_stamps": source.report.recorded_stamps}]}
+    paths = [(run.finished.stamps, run.finished.poses), run.odometry_path()]
+    if mirror is not None:
+        paths = [(mirror - stamps[::-1], poses[::-1]) for stamps, poses in paths]
+    paths = [(as_recorded(stamps, read), poses) for stamps, poses in paths]
     origin, errors = "", [(math.nan, math.nan)] * 2
     if drive.reference is not None:
         origin = drive.reference.name.removeprefix(drive.path.stem).removesuffix(drive.reference.suffix).strip(".")
         origin = origin or "relations"
         errors = [reference_errors(Trajectory.sorted(*path), drive.reference) for path in paths]
-    return run.result(drive.name, origin, errors)
+    return run.result(job.name, origin, errors)
+
+
+def _changed(source: Source, variant: DriveVariant, seed: int) -> tuple[Iterable[Message], float | None]:
+    """Return the messages of a variant; also the sum of the old and the new stamps if it is played backwards."""
+    messages: Iterable[Message] = source
+    mirror = None
+    if variant.backwards:
+        messages, mirror = play_backwards(source)
+    return (messages if variant.log is None else variant.log(messages, np.random.default_rng(seed))), mirror
 
 
 def reference_errors(path: Trajectory, reference: Path) -> tuple[float, float]:
@@ -172,7 +193,7 @@ def _run_world(job: Job, prepare: Prepare) -> RobustResult:
         run = _Run(messages, config)
     delay = config.lidar.delay or 0.0  # the path is on the lidar's clock, the truth on that of odometry
     errors = []
-    for (stamps, poses), late in (((run.finished.stamps, run.finished.poses), delay), (run.odometry_path({}), 0.0)):
+    for (stamps, poses), late in (((run.finished.stamps, run.finished.poses), delay), (run.odometry_path(), 0.0)):
         truth = Trajectory(stamps, simulation.trajectory.poses_at(stamps - late))
         errors.append(_trajectory_errors(Trajectory(stamps, poses), truth))
     return run.result(job.name, "truth", errors)
@@ -198,10 +219,9 @@ class _Run:
         state = slam.slam_state
         self._placed = len(state.trajectory.at_scans(state.mapper.keyframe_poses)[0])
 
-    def odometry_path(self, recorded_stamps: dict[float, float]) -> tuple[Floats, Floats]:
-        """Return stamps (n,), as they were recorded, and poses (n, 3) of raw odometry."""
-        stamps, poses = self._odometry
-        return as_recorded(stamps, {"recordings": [{"recorded_stamps": recorded_stamps}]}), poses
+    def odometry_path(self) -> tuple[Floats, Floats]:
+        """Return stamps (n,) and poses (n, 3) of raw odometry."""
+        return self._odometry
 
     def result(self, name: str, reference: str, errors: Sequence[tuple[float, float]]) -> RobustResult:
         """Return the result, given the errors of the path and of odometry."""
@@ -264,7 +284,21 @@ def _number(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.3f}"
 
 
-def select_jobs(recordings: Sequence[RecordedDrive], conditions: Sequence[str], seeds: Sequence[int]) -> list[Job]:
-    """Return the jobs of the recordings and of the worlds, with all seeds, whose names are among `conditions`."""
-    jobs = [Job(drive) for drive in recordings if drive.name in conditions]
+def select_jobs(
+    recordings: Sequence[RecordedDrive],
+    conditions: Sequence[str],
+    seeds: Sequence[int],
+    variants: Sequence[str] = (),
+) -> list[Job]:
+    """Return the jobs of the recordings and of the worlds, with all seeds, whose names are among `conditions`.
+
+    With `variants`, the recordings are mapped in these variants instead of as they are.
+    """
+    chosen = [drive for drive in recordings if drive.name in conditions]
+    jobs = [
+        Job(drive, seed=seed, variant=variant)
+        for drive in chosen
+        for variant in variants or ("",)
+        for seed in (seeds if variant and VARIANTS[variant].drawn else seeds[:1])
+    ]
     return jobs + [Job(None, world, seed) for world in WORLDS if world in conditions for seed in seeds]

@@ -1,4 +1,4 @@
-"""Drives of the robustness benchmark: the recordings in a folder, and simulated worlds with unusual circumstances."""
+"""Drives of the robustness benchmark: recordings in a folder, their variants, and simulated worlds."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulatio
 
 from ...errors import MapError
 from .scenarios.buildings import random_building, turning_path, wide_hall
-from .scenarios.log_variants import LogVariant, reverse_times, stamp_late, thin
+from .scenarios.log_variants import LogVariant, drift, jitter, reverse_times, stamp_late, thin
 from .scenarios.recorded import recorded
+from .scenarios.strangers import stranger
 from .scenarios.world_variants import add_crowd
 
 SUFFIXES = (".clf", ".log", ".carmen", ".mcap", ".bag")
@@ -40,11 +41,35 @@ class RecordedDrive:
 
 
 @dataclass(frozen=True, slots=True)
+class DriveVariant:
+    """A change of recorded drives.
+
+    log        change of the messages; None for none
+    backwards  True if the drive is played backwards
+    drawn      True if it depends on the seed
+    """
+
+    log: LogVariant | None = None
+    backwards: bool = False
+    drawn: bool = False
+
+
+VARIANTS: dict[str, DriveVariant] = {
+    "backwards": DriveVariant(backwards=True),
+    "drift": DriveVariant(drift(), drawn=True),
+    "backwards-drift": DriveVariant(drift(), backwards=True, drawn=True),
+    "jitter": DriveVariant(jitter(), drawn=True),
+    "thinned": DriveVariant(thin()),
+}
+"""Variants of recorded drives by name."""
+
+
+@dataclass(frozen=True, slots=True)
 class SimulatedWorld:
     """A world of the benchmark.
 
     description  for tables
-    world        function of the seed
+    world        function of the seed; a complete simulation if also lidar and wheels are drawn
     lidar, wheels  names of the simulator's models
     duration     seconds; None follows the way points once
     log          change of the messages
@@ -52,7 +77,7 @@ class SimulatedWorld:
     """
 
     description: str
-    world: Callable[[int], World]
+    world: Callable[[int], World | Simulation]
     lidar: str = "long"
     wheels: str = "good"
     duration: float | None = None
@@ -61,9 +86,12 @@ class SimulatedWorld:
 
     def simulation(self, seed: int) -> Simulation:
         """Return the simulation of one drive."""
+        world = self.world(seed)
+        if isinstance(world, Simulation):
+            return world
         lidar: LidarModel = LIDAR_MODELS[self.lidar]
         wheels: WheelModel = WHEEL_MODELS[self.wheels]
-        return Simulation(self.world(seed), seed, self.duration, lidar, wheels)
+        return Simulation(world, seed, self.duration, lidar, wheels)
 
     @contextmanager
     def messages(self, simulation: Simulation) -> Iterator[Iterable[Message] | Source]:
@@ -104,6 +132,7 @@ WORLDS: dict[str, SimulatedWorld] = {
     "wide-hall": SimulatedWorld("a hall wider than the lidar's range", lambda _: wide_hall(), "short", "bad"),
     "columns": SimulatedWorld("a hall with round columns", lambda _: load_world("columns"), "short", "bad", 100.0),
     "buildings": SimulatedWorld("long corridors and rooms, others for each seed", random_building, "short", "bad"),
+    "strangers": SimulatedWorld("building, lidar, mount, wheels and people drawn from the seed", stranger),
 }
 """Simulated worlds by name."""
 

@@ -27,7 +27,7 @@ from slam.evaluation.benchmarks.robust import (
     run_jobs,
     table_row,
 )
-from slam.evaluation.benchmarks.robust_drives import WORLDS, find_recordings
+from slam.evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, find_recordings
 from slam.io.tum import Trajectory, write_tum
 
 LIDAR = LidarModel(beams=180)
@@ -109,6 +109,23 @@ def test_a_recording_is_scored_against_its_reference_and_odometry(folder: Path) 
     assert "internal error" not in failed.failed
 
 
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_variants_of_a_recording_are_scored_against_its_reference(folder: Path, variant: str) -> None:
+    _, good = find_recordings(folder)
+    result = run_job(Job(good, seed=1, variant=variant), defaults)
+    assert (result.reference, result.failed) == ("truth", "")
+    assert result.slam.error < result.odometry.error
+    assert result.slam.error < 0.05
+
+
+def test_a_drawn_drive_is_the_same_for_the_same_seed() -> None:
+    drives = [WORLDS["strangers"].simulation(seed) for seed in (0, 0, 1)]
+    assert drives[0].lidar == drives[1].lidar != drives[2].lidar
+    assert drives[0].wheels == drives[1].wheels != drives[2].wheels
+    assert np.array_equal(drives[0].mount, drives[1].mount)
+    assert not np.array_equal(drives[0].mount, drives[2].mount)
+
+
 def test_a_world_is_scored_by_its_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     short = replace(WORLDS["crowd"], duration=6.0)
     monkeypatch.setitem(robust.WORLDS, "crowd", short)
@@ -143,6 +160,9 @@ def test_the_command_prints_a_table_or_one_line_of_json(wclm: Any, folder: Path,
     result = wclm(*options, "--condition", "room", "--condition", "crowd")
     assert [line.split(" ")[1] for line in result.stdout.splitlines()[5:]] == ["room", "crowd"]
     wclm.refuses(*options, "--condition", "moon", because=["moon", "no such condition", "room"])
+    wclm.refuses(*options, "--variant", "moon", because=["--variant moon", "no such variant", "backwards"])
+    content = wclm(*options, "--json", "--condition", "room", "--variant", "drift", "--variant", "backwards").stdout
+    assert [drive["name"] for drive in json.loads(content)["drives"]] == ["room drift 7", "room backwards"]
     wclm.refuses("bench", "robust", str(folder / "gone"), because=["gone: no such directory"])
     text = " ".join(wclm("bench", "robust", "--help").output.replace("│", " ").split())
     assert all(name in text for name in WORLDS)

@@ -17,11 +17,14 @@ TablesOption = Annotated[
 ]
 
 
-def check_conditions(names: Iterable[str] | None, known: Collection[str]) -> tuple[str, ...]:
-    """Return the chosen conditions, each once, or all `known` ones. Raises ConfigurationError for an unknown name."""
+def check_conditions(names: Iterable[str] | None, known: Collection[str], kind: str = "condition") -> tuple[str, ...]:
+    """Return the chosen conditions, each once, or all `known` ones. Raises ConfigurationError for an unknown name.
+
+    kind  of what is chosen, also the name of the option
+    """
     chosen = tuple(dict.fromkeys(names or known))
     if unknown := [name for name in chosen if name not in known]:
-        raise ConfigurationError(f"--condition {unknown[0]}: no such condition; known are {', '.join(known)}")
+        raise ConfigurationError(f"--{kind} {unknown[0]}: no such {kind}; known are {', '.join(known)}")
     return chosen
 
 

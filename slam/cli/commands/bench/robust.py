@@ -27,7 +27,16 @@ def bench_robust(
             "--condition",
             metavar="NAME",
             help="World, or name of a recording; can be repeated. By default all recordings and all worlds: crowd, "
-            "turns, reversed-beams, late-lidar, wide-hall, columns, buildings.",
+            "turns, reversed-beams, late-lidar, wide-hall, columns, buildings, strangers.",
+        ),
+    ] = None,
+    variants: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--variant",
+            metavar="NAME",
+            help="Map the recordings in this variant instead of as they are; can be repeated: backwards, drift "
+            "(errors of odometry drawn from the seed), backwards-drift, jitter (noise of 1 micrometre), thinned.",
         ),
     ] = None,
     first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive of a world.")] = 0,
@@ -45,13 +54,15 @@ def bench_robust(
     Example: [bold]wclm bench robust datasets --condition intel --condition crowd[/bold]
     """
     from ....evaluation.benchmarks.robust import TABLE_HEAD, run_jobs, select_jobs, table_row
-    from ....evaluation.benchmarks.robust_drives import WORLDS, find_recordings
+    from ....evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, find_recordings
     from ....io.json_files import to_json_types
 
     recordings = [] if folder is None else find_recordings(folder)
-    chosen = check_conditions(conditions, (*(drive.name for drive in recordings), *WORLDS))
+    changes = check_conditions(variants, VARIANTS, "variant") if variants else ()
+    worlds = () if changes else WORLDS
+    chosen = check_conditions(conditions, (*(drive.name for drive in recordings), *worlds))
     compile_all()
-    jobs = select_jobs(recordings, chosen, range(first_seed, first_seed + seeds))
+    jobs = select_jobs(recordings, chosen, range(first_seed, first_seed + seeds), changes)
     drives = progress(run_jobs(jobs, resolve_timing, processes), len(jobs), "drives")
     if as_json:
         results = list(drives)

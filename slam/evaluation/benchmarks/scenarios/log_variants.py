@@ -1,4 +1,4 @@
-"""Variants of a log: other lidars, systematic errors of ranges and stamps, and thinned logs."""
+"""Variants of a log: other lidars, errors of ranges, stamps and odometry, thinned logs, and drives played backwards."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from drivers import se2
-from drivers.messages import Message, Odometry, Scan, with_reversed_times
+from drivers.messages import Message, Odometry, Scan, YawRate, end_stamp, with_reversed_times
 from drivers.se2 import Pose
 
 LogVariant: TypeAlias = Callable[[Iterable[Message], np.random.Generator], Iterable[Message]]
@@ -20,6 +20,11 @@ KEPT_DISTANCE, KEPT_TURN = 1.0, float(np.radians(30.0))
 """Metres and radians driven between two scans of a thinned log."""
 NO_RETURNS = 51.05, 51.16
 """Metres between which the readings for a no-return scatter; those of the lidar of two public logs."""
+DRIFT = 0.04, 0.05, 0.011
+"""Standard deviations of the systematic errors of odometry: relative error of the distance and of the turn, and radians
+per metre; those of the simulator's bad wheels."""
+JITTER = 1e-6
+"""Metres and radians, standard deviation of the noise that shows by how much results scatter by chance."""
 
 
 def _of_scans(change: Callable[[Scan, np.random.Generator], Scan]) -> LogVariant:
@@ -93,6 +98,67 @@ def thin(distance: float = KEPT_DISTANCE, turn: float = KEPT_TURN) -> LogVariant
 
 def _is_beyond(motion: Pose, distance: float, turn: float) -> bool:
     return bool(np.hypot(motion[0], motion[1]) >= distance or abs(motion[2]) >= turn)
+
+
+def drift() -> LogVariant:
+    """Add systematic errors of worn wheels to odometry, drawn once for a drive: see DRIFT."""
+
+    def drifting(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
+        distance_error, turn_error, veer = DRIFT * random.standard_normal(3)
+
+        def change(motion: Pose) -> Pose:
+            turn = (1.0 + turn_error) * motion[2] + veer * float(np.hypot(motion[0], motion[1]))
+            return np.array([*(1.0 + distance_error) * motion[:2], turn])
+
+        return _with_motions(messages, change)
+
+    return drifting
+
+
+def jitter() -> LogVariant:
+    """Add noise that is far below any measurement's to the motions of odometry: see JITTER."""
+
+    def jittered(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
+        return _with_motions(messages, lambda motion: motion + JITTER * random.standard_normal(3))
+
+    return jittered
+
+
+def _with_motions(messages: Iterable[Message], change: Callable[[Pose], Pose]) -> Iterator[Message]:
+    """Yield the messages with changed motions between the readings of odometry."""
+    before: Pose | None = None
+    changed: Pose | None = None
+    for message in messages:
+        if isinstance(message, Odometry):
+            start = changed
+            changed = (
+                message.pose
+                if before is None or start is None
+                else se2.compose(start, change(se2.between(before, message.pose)))
+            )
+            before = message.pose
+            yield replace(message, pose=changed)
+        else:
+            yield message
+
+
+def play_backwards(messages: Iterable[Message]) -> tuple[list[Message], float]:
+    """Return the messages of a drive in the opposite order, and the sum of their old and new stamps.
+
+    A sweep is stamped by its last beam, which is now its first. It holds the whole drive in memory.
+    """
+    ordered = sorted(messages, key=end_stamp)
+    mirror = ordered[0].stamp + end_stamp(ordered[-1]) if ordered else 0.0
+
+    def backwards(message: Message) -> Message:
+        stamp = mirror - end_stamp(message)
+        if isinstance(message, Scan):
+            message = with_reversed_times(message)
+        if isinstance(message, YawRate):
+            message = replace(message, rate=-message.rate)
+        return replace(message, stamp=stamp)
+
+    return [backwards(message) for message in reversed(ordered)], mirror
 
 
 def scatter_no_returns(low: float = NO_RETURNS[0], high: float = NO_RETURNS[1]) -> LogVariant:
