@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.segments import Floats
-from ..localisation.tracker import PREDICTION_SIGMAS
+from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..loop_closure import closing
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus

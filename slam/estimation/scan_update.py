@@ -25,7 +25,7 @@ from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotio
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
 from ..matching.bias_correction import correct_range_bias
-from ..matching.point_matcher import point_information
+from ..matching.point_matcher import INDEPENDENT_SHARE, point_information
 from ..preprocessing.preprocessor import ProcessedScan
 from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, search_loop
 from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState
@@ -225,10 +225,11 @@ def _point_motion(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     if reference is None:
         return None
     keyframe, pose = reference
+    of_scan, of_start = tracking.registration.point_information, point_information(state.local_field.points(keyframe))
     limit = state.odometry_model.limit_information
-    covariance = _covariance_of(limit(tracking.registration.point_information, scan.travel))
+    covariance = _covariance_of(limit(INDEPENDENT_SHARE * of_scan, scan.travel))
     # The sweep of the earlier scan is taken to be like this one.
-    start_covariance = _covariance_of(limit(point_information(state.local_field.points(keyframe)), scan.travel))
+    start_covariance = _covariance_of(limit(INDEPENDENT_SHARE * of_start, scan.travel))
     relative = se2.between(pose, tracking.registration.point_pose)
     return PointMotion(keyframe, relative, covariance, start_covariance)
 

@@ -24,13 +24,10 @@ from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, ScanClock, VelocityFilter
 from .match_target import MIN_WALL_LENGTH, MatchTarget, ScanMatch
-from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
+from .prediction_error import PREDICTION_SIGMAS, PredictionError
+from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import View
 
-# Metres, metres, radians: standard deviations of a prediction beside odometry's own, from the error of the reference
-# and from clock differences. Origin: chosen; no measurement recorded.
-PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
-PREDICTION_COVARIANCE = np.diag(PREDICTION_SIGMAS**2)  # Origin: definition.
 # Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
 # Origin: chosen, once in twenty scans that fit badly; not measured.
 SLIP_COST = 3.0
@@ -67,6 +64,7 @@ class Tracker:
         self._since_slip = 0.0  # seconds
         self._since_fix: float | None = None  # seconds; None if no slip is possible
         self._clock, self._velocity = ScanClock(), VelocityFilter()
+        self._prediction_error = PredictionError()
         self._untracked_in_a_row = 0
         self._last_score = 0.0  # of the last tracked scan
         self._view: View | None = None  # last view with enough points for a comparison
@@ -107,7 +105,8 @@ class Tracker:
             return None
         return TrackerState(
             self._fix, self._reference, self._since_fix, self._clock.last, self._clock.intervals,
-            self._velocity.velocity, self._velocity.variances, self._last_score,
+            self._velocity.velocity, self._velocity.variances,
+            self._prediction_error.variances, self._prediction_error.scans, self._last_score,
         )  # fmt: skip
 
     def restore(self, state: TrackerState) -> None:
@@ -115,6 +114,7 @@ class Tracker:
         self._fix, self._reference = state.fix, state.reference
         self._since_fix, self._clock = state.since_fix, ScanClock(state.scan_stamp, state.intervals)
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
+        self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
         self._last_score = state.last_score
 
     def correct(self, pose: se2.Pose) -> None:
@@ -153,6 +153,10 @@ class Tracker:
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
         result = self._result(match, status, slipped=slipped, abrupt=abrupt)
+        if status is TrackingStatus.TRACKED and self._model.measured:
+            predicted, of_match = predictions[0], inverse(match.points.information + CONDITIONING)
+            difference = se2.between(predicted.pose, match.points.pose)
+            self._prediction_error.add(difference, inverse(predicted.information).diagonal(), of_match.diagonal())
         self._update_fix(result, match.score, odometry)
         return result
 
@@ -259,7 +263,7 @@ class Tracker:
         """Return the prediction if the robot has moved from the reference as odometry says."""
         motion = reference.odometry_motion(odometry)
         pose = se2.compose(reference.pose, self._model.correct(motion))
-        information = inverse(self._model.covariance(motion) + PREDICTION_COVARIANCE)
+        information = inverse(self._model.covariance(motion) + self._prediction_error.covariance)
         return Prediction(pose, information, inertia=inertia)
 
     def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:

@@ -14,6 +14,7 @@ from ..geometry.small_matrices import inverse
 from ..matching.line_matcher import Registration
 from ..matching.point_matcher import Prediction, pose_error
 from ..odometry.velocity import VelocityFilter
+from .prediction_error import PredictionError
 
 # Information of a pose that makes that of any scan invertible. Origin: numerical, far below that of a single point.
 CONDITIONING = 1e-6 * np.eye(3)
@@ -94,6 +95,8 @@ class TrackerState:
     intervals   seconds between the latest scans, see `ScanClock`
     velocity    (3,) see `VelocityFilter`
     velocity_variances  (3,)
+    prediction_variances  (3,) see `PredictionError`
+    prediction_scans  number of scans that they rest on
     last_score  match score of the last tracked scan
     """
 
@@ -104,10 +107,14 @@ class TrackerState:
     intervals: tuple[float, ...]
     velocity: Floats
     velocity_variances: Floats
+    prediction_variances: Floats
+    prediction_scans: int
     last_score: float
 
     @classmethod
     def placed(cls, fix: PoseFix) -> TrackerState:
         """Return the state of a robot of which nothing but the pose is known."""
-        velocity = VelocityFilter()
-        return cls(fix, fix, None, None, (), velocity.velocity, velocity.variances, 0.0)
+        velocity, error = VelocityFilter(), PredictionError()
+        return cls(
+            fix, fix, None, None, (), velocity.velocity, velocity.variances, error.variances, error.scans, 0.0
+        )  # fmt: skip

@@ -1,7 +1,8 @@
 """Distance field: the vector from the nearest scan point to each cell of a grid, and which cells were seen.
 
 A scan is matched to it with all its points, whatever they belong to. Points are inserted one scan at a time, so the
-field grows with the drive; it is rebuilt when the robot leaves its middle or when the map is corrected.
+field grows with the drive; it is rebuilt when the robot leaves its middle or when the map is corrected. Points that
+appear in free space enter it when a second scan has seen them.
 
 A wall has two faces some centimetres apart, and a robot that drives past it sees first one and then the other. To match
 one with the other would shift the pose by the wall's thickness. So there is one grid for each direction that a surface
@@ -21,6 +22,7 @@ from drivers import se2
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats
+from .free_space import NEW_SURFACE, SEEN_CELL, SEEN_CELLS, WaitingPoints, is_surrounded, mark_seen, must_wait
 from .offset_tiles import (
     FIELD_CELL,
     MAX_DISTANCE,
@@ -34,10 +36,6 @@ from .offset_tiles import (
 
 # Metres from the middle to each side. Origin: chosen, the range of usual indoor lidars; farther points are not used.
 FIELD_HALF_WIDTH = 30.0
-# Metres, side of the cells in which it is stored whether a beam crossed them. Origin: chosen; not measured.
-SEEN_CELL = 0.25
-# The same in cells of the other grids. Origin: definition.
-SEEN_CELLS = round(SEEN_CELL / FIELD_CELL)
 # Cosine between a surface's normal and a direction up to which the surface belongs to it. Origin: definition, 67.5
 # degrees: a surface belongs to the nearest of the four directions, and to the second one if it is nearly as near.
 MIN_FACING = math.cos(math.radians(67.5))
@@ -58,22 +56,25 @@ class DistanceField:
     origin   (2,) corner of the grids in the map, metres
     offsets  from the nearest point to the cell's centre: of surfaces that face along x, y, -x, -y, and of all points
     seen     (s, s) 1 if a beam crossed the cell or ended in it
+    waiting  points in free space that one scan has seen; see `free_space`
     """
 
     origin: Floats
     offsets: OffsetTiles
     seen: NDArray[np.uint8]
+    waiting: WaitingPoints
 
     @classmethod
     def empty(cls, centre: Floats, half_width: float = FIELD_HALF_WIDTH) -> DistanceField:
         """Return a field around `centre` (2,) without points."""
         origin = np.floor((np.asarray(centre[:2]) - half_width) / SEEN_CELL) * SEEN_CELL
         side = int(2 * half_width / SEEN_CELL)
-        return cls(origin, OffsetTiles.empty(ALL_POINTS + 1, SEEN_CELLS * side), np.zeros((side, side), dtype=np.uint8))
+        offsets, seen = OffsetTiles.empty(ALL_POINTS + 1, SEEN_CELLS * side), np.zeros((side, side), dtype=np.uint8)
+        return cls(origin, offsets, seen, WaitingPoints.empty(side))
 
     def __deepcopy__(self, memo: dict[int, object]) -> DistanceField:
         """Return an independent copy."""
-        return DistanceField(self.origin, self.offsets.copy(), self.seen.copy())
+        return DistanceField(self.origin, self.offsets.copy(), self.seen.copy(), self.waiting.copy())
 
     @property
     def arrays(self) -> Arrays:
@@ -96,10 +97,12 @@ class DistanceField:
             return
         points, first, entered = np.concatenate(scans), np.cumsum([0, *map(len, scans)]), 0
         while entered < len(points):
-            count, entered = _insert(self.arrays, self.offsets.count, poses, points, first, entered)
-            self.offsets.count = count
+            self.offsets.count, entered = _insert(
+                self.arrays, self.waiting.scan_of, self.waiting.scans, self.offsets.count, poses, points, first, entered
+            )
             if entered < len(points):
                 self.offsets.grow()
+        self.waiting.scans += len(scans)
 
     @property
     def centre(self) -> Floats:
@@ -112,31 +115,44 @@ class DistanceField:
 
 
 @compiled
-def _insert(field, count, poses, points, first, begin):  # type: ignore[no-untyped-def]
+def _insert(field, scan_of, scans, count, poses, points, first, begin):  # type: ignore[no-untyped-def]
     """Enter the offsets from each point into the cells around it, and mark the cells between it and the robot.
 
     The points of scan j, from `first[j]` to before `first[j + 1]`, are in the frame of `poses[j]`. Those before `begin`
-    have been entered. Returns the number of tiles, of which there were `count`, and the first point that is not entered
-    as there may be no room for its tiles.
+    have been entered. A scan's own beams cross no free space for its points, so their cells are marked afterwards.
+    Returns the number of tiles, of which there were `count`, and the first point that is not entered as there may be no
+    room for its tiles. For `scan_of` and `scans` see `WaitingPoints`.
     """
     origin, tile_of, tiles, seen = field
     for j in range(len(poses)):
+        if begin >= first[j + 1]:
+            continue
         c, s = math.cos(poses[j, 2]), math.sin(poses[j, 2])
-        start_x, start_y = poses[j, 0] - origin[0], poses[j, 1] - origin[1]
+        start_x, start_y = (poses[j, 0] - origin[0]) / FIELD_CELL, (poses[j, 1] - origin[1]) / FIELD_CELL
         for k in range(max(begin, first[j]), first[j + 1]):
             if count + (ALL_POINTS + 1) * TILES_OF_POINT > len(tiles):
                 return count, k
-            end_x = start_x + c * points[k, 0] - s * points[k, 1]
-            end_y = start_y + s * points[k, 0] + c * points[k, 1]
-            _mark_seen(seen, start_x / SEEN_CELL, start_y / SEEN_CELL, end_x / SEEN_CELL, end_y / SEEN_CELL)
-            x, y = end_x / FIELD_CELL, end_y / FIELD_CELL
-            if not _surroundings_are_inside(x, y, seen):
+            x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
+            y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
+            if not _surroundings_are_inside(x, y, seen) or _must_wait(field, scan_of, scans + j + 1, x, y):
                 continue
             normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
             for grid in range(ALL_POINTS + 1):
                 if _belongs_to(grid, normal_x, normal_y) and not _is_known(tile_of, tiles, grid, x, y):
                     count = enter_point(tile_of, tiles, count, grid, x, y)
+        for k in range(first[j], first[j + 1]):
+            x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
+            y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
+            mark_seen(seen, start_x / SEEN_CELLS, start_y / SEEN_CELLS, x / SEEN_CELLS, y / SEEN_CELLS)
     return count, len(points)
+
+
+@inlined
+def _must_wait(field, scan_of, scan, x, y):  # type: ignore[no-untyped-def]
+    """True if a point of a scan at (x, y), in cells, is in free space, and no scan before had one there."""
+    if nearest_distance(field, ALL_POINTS, x, y) < NEW_SURFACE or not is_surrounded(field[3], x, y):
+        return False
+    return must_wait(scan_of, scan, x, y)
 
 
 @inlined
@@ -171,26 +187,6 @@ def facing_grid(normal_x, normal_y):  # type: ignore[no-untyped-def]
     if abs(normal_x) >= abs(normal_y):
         return 0 if normal_x > 0.0 else 2
     return 1 if normal_y > 0.0 else 3
-
-
-@inlined
-def _mark_seen(seen, x, y, end_x, end_y):  # type: ignore[no-untyped-def]
-    """Mark the cells on the line from (x, y) to the end, both in cells."""
-    cells = len(seen)
-    steps = int(1.5 * max(abs(end_x - x), abs(end_y - y))) + 1
-    step_x, step_y = (end_x - x) / steps, (end_y - y) / steps
-    inside = min(x, y, end_x, end_y) >= 1.0 and max(x, y, end_x, end_y) < cells - 1  # even if rounded
-    for k in range(steps + 1):
-        row, column = math.floor(x + k * step_x), math.floor(y + k * step_y)
-        if inside or (0 <= row < cells and 0 <= column < cells):
-            seen[np.uintp(row), np.uintp(column)] = 1
-
-
-@inlined
-def is_seen(seen, x, y):  # type: ignore[no-untyped-def]
-    """True if (x, y), in cells of FIELD_CELL, lies in a cell that was seen."""
-    row, column, cells = math.floor(x), math.floor(y), SEEN_CELLS * len(seen)
-    return 0 <= row < cells and 0 <= column < cells and seen[row // SEEN_CELLS, column // SEEN_CELLS] > 0
 
 
 @inlined

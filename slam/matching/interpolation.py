@@ -12,7 +12,8 @@ import numpy as np
 
 from drivers.compiled import compiled, inlined
 
-from .distance_field import SEEN_CELLS, facing_grid, is_seen
+from .distance_field import facing_grid
+from .free_space import SEEN_CELLS, is_seen
 from .offset_tiles import FIELD_CELL, NO_OFFSET, metres, offset_at
 
 # Points of a block. Origin: measured, 32 and 128 take as long or longer.

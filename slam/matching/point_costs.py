@@ -10,7 +10,8 @@ import math
 from drivers.compiled import compiled, inlined
 
 from ..geometry.small_matrices import quadratic_form
-from .distance_field import ALL_POINTS, facing_grid, is_seen, nearest_distance
+from .distance_field import ALL_POINTS, facing_grid, nearest_distance
+from .free_space import is_seen
 from .offset_tiles import FIELD_CELL, MAX_DISTANCE
 
 # Metres, scale of the wide kernel. Origin: chosen, a fifth of MAX_DISTANCE; not measured.

@@ -42,6 +42,9 @@ POINT_SPACING = FIELD_CELL
 # Metres, scale of the narrow kernel, and standard deviation of a point. Origin: measured, on ten recordings: 0.03
 # agrees best among 0.03, 0.05 and 0.10 on eight of them.
 FINE_SIGMA = 0.03
+# Share of the information of a matched scan that is independent of other scans: scans from nearby repeat the errors of
+# the surfaces. Origin: measured, on recordings a third is slightly better than a tenth or all of it.
+INDEPENDENT_SHARE = 0.3
 # Points of one object, which fit or do not fit together. Origin: chosen, a person at a metre or two; not measured.
 POINTS_PER_OBJECT = 5.0
 # Scale of the Cauchy kernel of predictions, standard deviations. Origin: chosen, the usual range of robust kernels; not

@@ -8,14 +8,11 @@ from numpy.typing import NDArray
 from ...geometry.segments import Floats
 from ...graph.chain import smooth_chain
 from ...mapping.mapper import Mapper
+from ...matching.point_matcher import INDEPENDENT_SHARE
 from ...odometry.error_model import OdometryModel
 from .full_map_matcher import FullMapMatcher
 from .pose_fusion import fuse_poses
 from .scan_history import ScanHistory
-
-# Factor of the information of a scan's match: neighbouring scans share the errors of the walls they are matched to.
-# Origin: measured, on recordings a third is slightly better than a tenth or all of it, which are equally good.
-INFORMATION_SCALE = 0.3
 
 
 def smooth_trajectory(
@@ -46,5 +43,5 @@ def smooth_trajectory(
     matched[plausible], informations[plausible] = fuse_poses(
         matched[plausible], informations[plausible], registered[plausible], registered_informations[plausible]
     )
-    smoothed = smooth_chain(matched, INFORMATION_SCALE * informations, *matcher.motions.known(odometry_wrong))
+    smoothed = smooth_chain(matched, INDEPENDENT_SHARE * informations, *matcher.motions.known(odometry_wrong))
     return smoothed, overlap_ratio

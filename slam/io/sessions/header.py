@@ -24,7 +24,7 @@ from .agreement import AgreementRecord, agreement_record
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
 
 FORMAT = "wclm-slam session"
-SESSION_VERSION = 7
+SESSION_VERSION = 8
 
 
 class Recording(Record):
@@ -62,6 +62,9 @@ class _Anchor(Record):
     odometry: Pose
 
 
+_Variance = Annotated[Finite, Field(gt=0.0)]
+
+
 class _Tracker(Record):
     fix: _PoseFix
     reference: _PoseFix
@@ -70,6 +73,8 @@ class _Tracker(Record):
     intervals: list[Finite]
     velocity: tuple[Finite, Finite, Finite]
     velocity_variances: tuple[Finite, Finite, Finite]
+    prediction_variances: tuple[_Variance, _Variance, _Variance]
+    prediction_scans: int = Field(ge=0)
     last_score: Finite
 
 
@@ -216,6 +221,8 @@ def _tracker_record(state: TrackerState) -> _Tracker:
         intervals=list(state.intervals),
         velocity=to_pose(state.velocity),
         velocity_variances=to_pose(state.velocity_variances),
+        prediction_variances=to_pose(state.prediction_variances),
+        prediction_scans=state.prediction_scans,
         last_score=state.last_score,
     )
 
@@ -226,7 +233,8 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     )
     return TrackerState(
         fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),
-        np.array(record.velocity_variances), record.last_score,
+        np.array(record.velocity_variances), np.array(record.prediction_variances), record.prediction_scans,
+        record.last_score,
     )  # fmt: skip
 
 

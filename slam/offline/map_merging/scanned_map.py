@@ -22,7 +22,8 @@ from ...loop_closure.map_descriptor import MapDescriptor, express_in_frame
 from ...loop_closure.relocalisation import MapIndex, index_map
 from ...loop_closure.submap_search import DISTORTION_SIGMAS, build_submap
 from ...mapping.mapper import Mapper
-from ...matching.distance_field import SEEN_CELL, DistanceField
+from ...matching.distance_field import DistanceField
+from ...matching.free_space import SEEN_CELL
 from ...matching.point_costs import points_cost
 from ...matching.point_matcher import POINT_SPACING
 from ...matching.scan_points import surface_points

@@ -13,12 +13,11 @@ from drivers import se2
 from slam.geometry.segments import Floats
 from slam.matching.distance_field import (
     ALL_POINTS,
-    SEEN_CELL,
     DistanceField,
     facing_grid,
-    is_seen,
     nearest_distance,
 )
+from slam.matching.free_space import SEEN_CELL, is_seen
 from slam.matching.interpolation import BLOCK, interpolate
 from slam.matching.offset_tiles import FIELD_CELL, MAX_DISTANCE, NOWHERE, OFFSET_UNIT
 
@@ -56,6 +55,7 @@ def in_cells(field: DistanceField, position: Floats) -> tuple[float, float]:
 def vectors_at(field: DistanceField, position: Floats, normal: Floats) -> Floats:
     """Return the vector (1, 2) from a surface to a point with a normal, or (0, 2) if none is near; all cells count as
     seen."""
+    field = copy.deepcopy(field)
     field.seen[:] = 1
     return np.asarray(interpolate(np.zeros(3), np.array([[*position, *normal]]), field.arrays)[1])
 

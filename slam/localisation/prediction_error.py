@@ -1,0 +1,60 @@
+"""Error of the pose that odometry predicts from the last keyframe, beside that of odometry's own motion.
+
+It comes from the error of the keyframe's pose, from the clocks of lidar and odometry, and from the mount. On one robot
+it is a few millimetres, on another some centimetres. So its variance v is learned from scans that determine their pose:
+half of the squared differences e^2 of predicted and matched poses must be below
+
+    m (v + c)
+
+with the median m of chi-square and the variance c of odometry's motion and of the match. The logarithm of v rises by a
+step if e^2 is above, and falls if it is below (stochastic approximation of a quantile, Robbins and Monro 1951). A gross
+error moves it by one step only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.segments import Floats
+from ..odometry.error_model import NORMAL_MEDIAN, NORMAL_MEDIAN_ERROR, PRIOR_SAMPLES, RANDOM_ERROR_SAMPLES
+
+# Metres, metres, radians: standard deviations before any scan. Origin: chosen; no measurement recorded.
+PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
+# Share of the first variances up to which that of a match must be, in all directions, so that it says something about
+# the prediction. Origin: chosen, a third in standard deviations; not measured.
+MAX_MATCH_SHARE = 0.1
+
+
+class PredictionError:
+    """Variances of the error of predictions in x, y and heading, in the base's frame.
+
+    variances  (3,) square metres, square metres, square radians
+    scans      number of scans that they rest on, at most RANDOM_ERROR_SAMPLES
+    """
+
+    def __init__(self, variances: Floats | None = None, scans: int = 0) -> None:
+        self.variances = PREDICTION_SIGMAS**2 if variances is None else variances
+        self.scans = scans
+
+    @property
+    def covariance(self) -> Floats:
+        """(3, 3) covariance of the error."""
+        return np.diag(self.variances)
+
+    def add(self, difference: Floats, predicted_variances: Floats, match_variances: Floats) -> None:
+        """Learn from the difference (3,) of the matched from the predicted pose of a scan.
+
+        predicted_variances  (3,) of the prediction, with `variances`
+        match_variances      (3,) of the match; a scan that does not determine its pose is not used
+        """
+        if np.any(match_variances > MAX_MATCH_SHARE * PREDICTION_SIGMAS**2):
+            return
+        variances, expected = self.variances, predicted_variances + match_variances
+        samples = self.scans + PRIOR_SAMPLES
+        # No other step gives a smaller error in the end: it is 1 / (2 f(m) m) with the density f at the median.
+        step = NORMAL_MEDIAN_ERROR / samples
+        # Less than the standard error of the whole variance cannot be told from the rest of it.
+        least = np.minimum(variances, NORMAL_MEDIAN_ERROR / np.sqrt(samples) * expected)
+        lower, higher = np.maximum(variances * np.exp(-step), least), variances * np.exp(step)
+        self.variances = np.where(difference**2 > NORMAL_MEDIAN * expected, higher, lower)
+        self.scans = min(self.scans + 1, RANDOM_ERROR_SAMPLES)
