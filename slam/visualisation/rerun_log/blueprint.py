@@ -71,7 +71,8 @@ def layout(extent: Extent) -> rrb.Blueprint:
     # On the timeline of corrections a plot has one value for each, so other panels are in front there.
     plots_of_path, plots_of_fit = panels.plots()
     fitted = extent.fitted and extent.mapped
-    left = rrb.Tabs(panels.compared_points(), *plots_of_path, active_tab=0 if extent.corrected else 1)
+    of_path = 1 if extent.mapped else len(plots_of_path)  # the last one is the status, the only one between keyframes
+    left = rrb.Tabs(panels.compared_points(), *plots_of_path, active_tab=0 if extent.corrected else of_path)
     right = rrb.Tabs(panels.histogram(), *plots_of_fit, active_tab=1 if fitted and not extent.corrected else 0)
     rows = rrb.Tabs(panels.log(), *panels.decisions(), active_tab=0)
     plots = rrb.Horizontal(left, right, rows, column_shares=[3, 3, 5])

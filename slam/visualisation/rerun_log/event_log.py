@@ -284,6 +284,8 @@ class EventLog:
             self._factor_graph_layer.log(event, self._keyframes, self._lines, self._corners)
 
     def _log_map(self, lines: MapWalls, corners: MapCorners, path: Floats, keyframes: Floats) -> None:
+        if self._index is not None and self._index >= len(keyframes):
+            self._keyframe_layer.clear()
         self._map_layer.log(lines, corners)
         self._path_layer.log_estimate(path, keyframes)
         self._scan_layer.log_all(keyframes)
