@@ -107,7 +107,7 @@ def test_a_drawing_of_too_many_lines_is_refused(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("slam.io.plans.reader.MAX_LINES", 8)
     assert len(read_plan(path).segments) == 8
     monkeypatch.setattr("slam.io.plans.reader.MAX_LINES", 7)
-    with pytest.raises(MapError, match=r"room.svg: has 8 lines, more than 7; export the walls alone, or .*--plan-layer"):
+    with pytest.raises(MapError, match=r"room.svg: has 8 lines, more than 7; export the walls alone, or .*-layer"):
         read_plan(path)
 
 
