@@ -37,7 +37,7 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --require-hashes --requirement requirements.lock
 	@$(BIN)/python -m compileall -q -j 2 -x '/tests?/' $(VENV)/lib >/dev/null || true  # pip compiles one after the other
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	@echo "compiling, once"; $(BIN)/python -c "import slam; slam.warm_up()"
+	@echo "compiling, once; takes about a minute"; $(BIN)/python -c "import slam; slam.warm_up()"
 	@touch $@
 
 demo: $(READY)

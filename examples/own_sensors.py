@@ -33,7 +33,7 @@ def read_lidar(time: float, random: np.random.Generator) -> np.ndarray:
 # Noise from the lidar's data sheet, and the mount of the lidar on the robot: x, y, heading.
 config = Config.model_validate({"lidar": {"sigma_range": 0.01, "mount": (0.0, 0.0, 0.0)}})
 
-warm_up()  # compiles for half a minute the first time; do this before driving
+warm_up()  # compiles for a minute the first time; do this before driving
 slam = Slam(config)
 random = np.random.default_rng(0)
 for step in range(100):

@@ -71,13 +71,17 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
 
 
 def summarise_session(session: StoredSession, summary: dict[str, Any], publisher: Publisher) -> Finished:
-    """Check a session whose map is settled; publish and return its map and trajectory, with `summary` extended."""
+    """Check a session whose map is settled; publish and return its map and trajectory, with `summary` extended.
+
+    Publishes the residuals as well.
+    """
     state, segments = session.slam_state, OdometrySegments(session.odometry, session.starts)
     poses = state.mapper.keyframe_poses
     drive = drive_of(session.scans, session.starts, state.trajectory.at_scans(poses), state.odometry_model)
     suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
     publisher.publish_suspects(suspects, state.keyframe_stamps)
     bends = settle_wall_bends(state.mapper, session.scan_history())
+    publisher.publish_residuals(session.scans[-1].stamp, state.mapper)
     summary = summary | {"wall_bends": bends, "suspects": [suspect.row() for suspect in suspects]}
     result = final_result(state, segments.trajectory(state.trajectory, poses), summary)
     publisher.publish(result)

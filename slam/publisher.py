@@ -98,11 +98,15 @@ class Publisher:
         )
 
     def _publish_slip(self, scan: ProcessedScan, tracking: TrackingResult) -> None:
-        """Publish that odometry contradicts the scan, as a warning if it is far off."""
-        deviation = np.full(3, np.inf)
-        if self._last_keyframe is not None:
-            pose, odometry = self._last_keyframe
-            deviation = se2.between(se2.between(pose, tracking.pose), se2.between(odometry, scan.odometry))
+        """Publish that odometry contradicts the scan, as a warning if it is far off.
+
+        Before the first keyframe of a continued session nothing is published: the wheels count from where they were
+        switched on, so nothing is known of the motion since the session was stored.
+        """
+        if self._last_keyframe is None:
+            return
+        pose, odometry = self._last_keyframe
+        deviation = se2.between(se2.between(pose, tracking.pose), se2.between(odometry, scan.odometry))
         metres, radians = float(np.hypot(*deviation[:2])), abs(float(deviation[2]))
         if metres > SLIP_WARNING[0] or radians > SLIP_WARNING[1]:
             self.publish(Notice(scan.stamp, "odometry is far off from the scan: it slipped or jumped"))

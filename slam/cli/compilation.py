@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from functools import cache
 
 from .console import print_if_slow
 
-COMPILING = "compiling, once after an installation or update; takes about half a minute"
+COMPILING = "compiling, once after an installation or update; takes about a minute"
 
 
 @cache
@@ -16,9 +15,12 @@ def compile_all() -> None:
     from ..preprocessing.extraction import is_compiled
     from ..warmup import warm_up
 
-    _announce_compilation()
-    with nullcontext() if is_compiled() else print_if_slow(COMPILING):  # the first time, other processes compile too
+    if is_compiled():
+        _announce_compilation()
         warm_up()
+    else:
+        with print_if_slow(COMPILING):  # the first time, other processes compile too
+            warm_up()
 
 
 def compile_for_recording() -> None:

@@ -128,12 +128,16 @@ def _merge_pieces(plan: Plan) -> tuple[Floats, Integers, Floats]:
 def _on_line(pieces: Floats, heading: Floats, left: NDArray[np.bool_], first: int, tolerance: float) -> Integers:
     """Return the pieces on the line of one of them that can be reached along it without a large gap."""
     start = pieces[first, 0]
+    across = np.array([-math.sin(heading[first]), math.cos(heading[first])])
+    # Most pieces of a large plan start farther away; twice the tolerance, so that rounding does not matter.
+    rows = np.flatnonzero(left & (np.abs(pieces[:, 0] @ across - start @ across) <= 2.0 * tolerance))
     frame = np.array([start[0], start[1], heading[first]])
-    ends = se2.transform(se2.inverse(frame), pieces)
-    near = left & (np.abs(ends[..., 1]).max(axis=1) <= tolerance) & (np.cos(heading - heading[first]) > 0.0)
-    rows = np.flatnonzero(near)
-    rows = rows[np.argsort(ends[rows, :, 0].min(axis=1), kind="stable")]
-    low, high = ends[rows, :, 0].min(axis=1), ends[rows, :, 0].max(axis=1)
+    ends = se2.transform(se2.inverse(frame), pieces[rows])
+    near = (np.abs(ends[..., 1]).max(axis=1) <= tolerance) & (np.cos(heading[rows] - heading[first]) > 0.0)
+    rows, ends = rows[near], ends[near]
+    order = np.argsort(ends[..., 0].min(axis=1), kind="stable")
+    rows, ends = rows[order], ends[order]
+    low, high = ends[..., 0].min(axis=1), ends[..., 0].max(axis=1)
     reached = np.maximum.accumulate(high)
     run = np.concatenate([[0], np.cumsum(low[1:] - reached[:-1] > MAX_PIECE_GAP)])
     return np.asarray(rows[run == run[rows == first]])

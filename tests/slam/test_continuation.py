@@ -14,11 +14,12 @@ from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
-from slam.events import Finished, Notice
+from slam.events import Finished, GraphInspected, Notice
 from slam.io.output_dir import CONFIG
 from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
+from slam.optimisation import optimise
 
 from .listeners import EventCollector
 
@@ -178,6 +179,15 @@ def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped
     np.testing.assert_allclose(finished.keyframes, before.keyframes, atol=1e-6)
     assert finished.stamps[0] > LATER
     assert error(finished, second, before, first) < 0.01
+
+
+def test_an_optimised_session_publishes_its_map_and_residuals(mapped: tuple[Path, Finished]) -> None:
+    listener = EventCollector()
+    optimised = optimise(read_session(mapped[0]), [listener])
+    inspected, finished = listener.events[-2:]
+    assert isinstance(inspected, GraphInspected)
+    assert len(inspected.residuals.squared) == optimised.session.slam_state.mapper.graph.factor_count
+    assert finished is optimised.finished
 
 
 @pytest.mark.parametrize("frozen", [False, True])

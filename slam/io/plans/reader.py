@@ -28,6 +28,10 @@ MAX_EXTENT = 5000.0
 MIN_EXTENT = 1.0
 """Metres: a smaller plan is in the wrong unit."""
 
+MAX_LINES = 50_000
+"""Lines of a drawing: with more, finding what can be seen of them takes many minutes. Floors of large buildings have
+some thousand walls; more lines are furniture, hatching and text."""
+
 
 def is_plan_file(path: Path) -> bool:
     """Return True if a path names a file that is read as a plan, and not the output directory of a run."""
@@ -61,7 +65,8 @@ def read_plan(path: Path, unit: Unit | None = None, layers: Sequence[str] = ()) 
 
 
 def _to_plan(path: Path, drawing: Drawing, unit: Unit | None) -> Plan:
-    """Return a drawing in metres. Raises MapError if its coordinates are not finite."""
+    """Return a drawing in metres. Raises MapError if its coordinates are not finite, its size is wrong, or it has too
+    many lines."""
     scale = METRES[unit] if unit is not None else drawing.unit or 1.0
     segments = scale * to_segments(drawing.lines)
     if not np.isfinite(segments).all():
@@ -71,6 +76,11 @@ def _to_plan(path: Path, drawing: Drawing, unit: Unit | None) -> Plan:
         if not MIN_EXTENT <= max(width, height) <= MAX_EXTENT:
             raise MapError(f"{path}: would be {_size(width, height)}; state the unit of the drawing with --plan-unit")
     segments = segments[np.hypot(*(segments[:, 1] - segments[:, 0]).T) >= MIN_PIECE]
+    if len(segments) > MAX_LINES:
+        raise MapError(
+            f"{path}: has {len(segments)} lines, more than {MAX_LINES}; export the walls alone, or choose their layers "
+            "in a DXF drawing with --plan-layer"
+        )
     notes = []
     if unit is None and drawing.unit is None and len(segments):
         notes.append(f"states no unit and is read in metres: {_size(width, height)} (--plan-unit sets another one)")

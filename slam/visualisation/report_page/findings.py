@@ -187,6 +187,9 @@ def _with_clock(text: str, trajectory: Trajectory) -> str:
 
 
 def _times(stamps: list[float], trajectory: Trajectory) -> str:
-    """Return the times since the start; if there are many, their number and the first ones."""
-    shown = ", ".join(clock(stamp - trajectory.stamps[0]) for stamp in stamps[:MAX_SHOWN_TIMES])
-    return f"at {shown}" if len(stamps) <= MAX_SHOWN_TIMES else f"{len(stamps)} times, first at {shown}"
+    """Return the times since the start, equal ones once; if there are many, their number and the first ones."""
+    times = list(dict.fromkeys(clock(stamp - trajectory.stamps[0]) for stamp in stamps))
+    shown = ", ".join(times[:MAX_SHOWN_TIMES])
+    if len(stamps) <= MAX_SHOWN_TIMES:
+        return f"at {shown}"
+    return f"{len(stamps)} times, {'first ' if len(times) > MAX_SHOWN_TIMES else ''}at {shown}"

@@ -43,6 +43,19 @@ def loops_text(slam: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
+def no_loops_text(slam: dict[str, Any]) -> str:
+    """Return why no loop was closed or rejected, as far as the summary of the run states it, as sentences."""
+    returns = slam.get("returns")
+    if returns is None:
+        return "No loop was closed or rejected."
+    if returns.get("count"):
+        return "No loop had to be closed: the map was correct wherever the robot returned to a known place."
+    return (
+        "No loop was closed or rejected, as no return to a known place was found. "
+        "That needs some metres of driving through a place that was mapped before."
+    )
+
+
 def nearest_rejection(slam: dict[str, Any]) -> str:
     """Return stamp and reason of the rejected loop that came nearest to being closed; empty if there is none."""
     rows = by_margin([row for row in slam.get("loop_decisions") or [] if row["status"] == LoopStatus.REJECTED])

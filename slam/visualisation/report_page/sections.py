@@ -11,7 +11,7 @@ from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from .correction_text import outcome_lines
 from .findings import Finding
-from .loop_text import by_margin, loops_text, returns_text
+from .loop_text import by_margin, loops_text, no_loops_text, returns_text
 
 APPLIED = (LoopStatus.ACCEPTED, LoopStatus.RETRACTED, LoopStatus.FORBIDDEN)
 """Decisions that changed the map; the others are in a table of their own."""
@@ -125,7 +125,7 @@ def loops(slam: dict[str, Any], start: float) -> str:
     rows = slam.get("loop_decisions") or []
     text = loops_text(slam)
     if not text:
-        return "<p>No loop was closed or rejected.</p>"
+        return f"<p>{escape(no_loops_text(slam))}</p>"
     applied = [row for row in rows if row["status"] in APPLIED]
     others = by_margin([row for row in rows if row["status"] not in APPLIED])
     body = f"<p>{escape(text[:1].upper() + text[1:])}.</p>" + (_decisions(applied, start) if applied else "")
@@ -213,7 +213,8 @@ def timings(summary: dict[str, Any]) -> str:
     )
     if "keyframe_median_ms" in slam_timings:
         median, most, longest = (slam_timings[f"keyframe_{name}_ms"] for name in ("median", "p99", "max"))
-        head += f" A keyframe took {median:.1f} ms (median), {most:.1f} ms (99 % of them), {longest:.0f} ms at most."
+        most_of_them = f"{most:.1f} ms (99\N{NO-BREAK SPACE}% of them)"
+        head += f" A keyframe took {median:.1f} ms (median), {most_of_them}, {longest:.0f} ms at most."
     stages = {
         name.removesuffix("_mean_ms").replace("_", " "): value
         for name, value in slam_timings.items()
@@ -230,10 +231,11 @@ def timings(summary: dict[str, Any]) -> str:
 
 
 def details(summary: dict[str, Any], settings: str) -> str:
-    """Return recording, seed, estimated parameters, versions and settings."""
+    """Return recording, how it was read, seed, estimated parameters, versions and settings."""
     slam = summary.get("slam") or {}
     entries = (
         ("recording", summary.get("recording_path") or summary.get("recording")),
+        ("read as", "; ".join(map(str, summary.get("interpretations") or ())) or None),
         ("seed of the simulation", summary.get("seed")),
         ("factors in the graph", slam.get("factors")),
         ("estimated range noise, metres", slam.get("sigma_range")),

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from ...geometry.segments import Floats
 from .colours import BACKGROUND, GRID
 from .loop_layer import TABLE, TABLE_COLUMNS
-from .rrd_writer import CANDIDATE, CLOSURE, KEYFRAME
+from .rrd_writer import CANDIDATE, CLOSURE, KEYFRAME, SENSOR_TIME
 from .status_layer import ENTITY as STATUS_ENTITY
 
 FIELD_OF_VIEW = math.radians(55.0)  # vertical, of the viewer's eye; Rerun has no orthographic projection
@@ -48,6 +48,8 @@ class Extent:
     truth         True if there is ground truth
     decided       True if there are loop decisions; the viewer warns of a table without rows
     corrected     True if a loop was closed or a closure retracted
+    fitted        True if chi² has several values, and its plot is a line; after offline estimation it has one
+    mapped        True if the run has added several keyframes; a robot that is only localised adds few or none
     typical_time  milliseconds that most keyframes take; the time plot shows twice that, because the first keyframe,
                   which waits for the compiler, would flatten all others
     """
@@ -58,23 +60,26 @@ class Extent:
     typical_time: float | None = None
     decided: bool = False
     corrected: bool = False
+    fitted: bool = True
+    mapped: bool = True
 
 
 def layout(extent: Extent) -> rrb.Blueprint:
-    """Return the layout for one log: opened at its last correction, else following the last keyframe."""
+    """Return the layout for one log: opened at its last correction, else following the last keyframe, or the last scan
+    if there are no keyframes."""
     panels = _Panels("", extent)
     # On the timeline of corrections a plot has one value for each, so other panels are in front there.
-    plot = 0 if extent.corrected else 1
-    left, right = (
-        rrb.Tabs(first, *views, active_tab=plot)
-        for first, views in zip((panels.compared_points(), panels.histogram()), panels.plots(), strict=True)
-    )
+    plots_of_path, plots_of_fit = panels.plots()
+    fitted = extent.fitted and extent.mapped
+    of_path = 1 if extent.mapped else len(plots_of_path)  # the last one is the status, the only one between keyframes
+    left = rrb.Tabs(panels.compared_points(), *plots_of_path, active_tab=0 if extent.corrected else of_path)
+    right = rrb.Tabs(panels.histogram(), *plots_of_fit, active_tab=1 if fitted and not extent.corrected else 0)
     rows = rrb.Tabs(panels.log(), *panels.decisions(), active_tab=0)
     plots = rrb.Horizontal(left, right, rows, column_shares=[3, 3, 5])
     texts = rrb.Tabs(*panels.documents(), active_tab=0 if extent.corrected else 1)
     top = rrb.Horizontal(panels.maps(), panels.details(), texts, column_shares=[4, 4, 3])
-    timeline = CLOSURE if extent.corrected else KEYFRAME
-    return _whole(rrb.Vertical(top, plots, row_shares=[5, 2]), timeline)
+    by_progress = KEYFRAME if extent.mapped else SENSOR_TIME
+    return _whole(rrb.Vertical(top, plots, row_shares=[5, 2]), CLOSURE if extent.corrected else by_progress)
 
 
 def side_by_side(extents: Mapping[str, Extent]) -> rrb.Blueprint:

@@ -47,7 +47,10 @@ def extent_of(chunks: Sequence[Chunk]) -> Extent:
     typical = float(np.percentile(times, 98)) if times else None
     decided = any(CANDIDATE in chunk.timeline_names for chunk in chunks if chunk.entity_path == f"/{TABLE}")
     corrected = any(chunk.entity_path == "/world/shift" for chunk in chunks if CLOSURE in chunk.timeline_names)
-    return Extent(*bounds(*points), truth=truth, typical_time=typical, decided=decided, corrected=corrected)
+    fits = [row.values["Scalars:scalars"][0] for row in rows(chunks, "/metrics/chi2")]
+    fitted = int(np.isfinite(fits).sum()) > 1
+    mapped = len({row.keyframe for row in rows(chunks, "/world/keyframe/scan")}) > 1
+    return Extent(*bounds(*points), truth, typical, decided, corrected, fitted, mapped)
 
 
 def _write(target: Path, identity: str, chunks: Sequence[Chunk], blueprint: rrb.Blueprint) -> None:

@@ -33,6 +33,7 @@ from ...events import (
     WallsMerged,
     WallsRemoved,
 )
+from ...formatting import counted
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
 from ...mapping.map_features import MapCorners, MapWalls
@@ -93,6 +94,8 @@ class EventLog:
         self._status_layer = StatusLayer(self._writer)
         self._ground_truth_layer = GroundTruthLayer(self._writer, self._path_layer, self._time_series)
         self._index: int | None = None  # of the last keyframe
+        self._added = 0  # keyframes of this run
+        self._last_notice: tuple[str, int | None] | None = None  # with that keyframe
         self._stamp = 0.0
         self._pose = np.zeros(3)
         self._overlap_ratio = math.nan  # of the last scan
@@ -129,8 +132,7 @@ class EventLog:
             case GroundTruthReceived():
                 self._ground_truth_layer.add_true_pose(event.stamp, event.pose)
             case Notice():
-                self._at_last_keyframe(event.stamp)
-                self._log_text(event.text, event.level)
+                self._write_notice(event)
             case SuspectFound():
                 self._at(event.index, event.stamp)
                 self._status_layer.log_suspect(event)
@@ -151,6 +153,8 @@ class EventLog:
             truth=self._ground_truth_layer.aligned,
             typical_time=self._time_series.typical_maximum("time"),
             corrected=self._corrections > 0,
+            fitted=self._time_series.count("chi2") > 1,
+            mapped=self._added > 1,
         )
         self._writer.close()
 
@@ -176,8 +180,8 @@ class EventLog:
         self._writer.set_time(stamp, index)
 
     def _at_last_keyframe(self, stamp: float) -> None:
-        """Stamp the next rows with the sensor time and the last keyframe."""
-        self._at(self._index or 0, stamp)
+        """Stamp the next rows with the sensor time and the last keyframe, which a continued session has already."""
+        self._at(max(len(self._keyframes) - 1, 0) if self._index is None else self._index, stamp)
 
     def _between_keyframes(self, stamp: float) -> None:
         """Stamp the next rows with the sensor time only."""
@@ -191,6 +195,14 @@ class EventLog:
             self._writer.log_step(CLOSURE, self._corrections)
         self._decision_steps, self._correction_steps = self._decisions, self._corrections
 
+    def _write_notice(self, event: Notice) -> None:
+        """Log a notice, unless it repeats the last one: a robot that slips for seconds would fill the text log."""
+        self._at_last_keyframe(event.stamp)
+        notice = event.text, self._index
+        if notice != self._last_notice:
+            self._log_text(event.text, event.level)
+        self._last_notice = notice
+
     def _write_scan(self, event: ScanTracked) -> None:
         self._overlap_ratio = event.overlap_ratio
         self._writer.begin_part_if_full()  # not only at keyframes: in familiar places there are none for days
@@ -201,6 +213,7 @@ class EventLog:
         self._end_steps()
         self._writer.begin_part_if_full()
         first, previous = self._index is None, self._pose
+        self._added += 1
         self._index, self._stamp, self._pose = event.index, event.stamp, event.pose
         self._at(event.index, event.stamp)
         if first:
@@ -271,6 +284,8 @@ class EventLog:
             self._factor_graph_layer.log(event, self._keyframes, self._lines, self._corners)
 
     def _log_map(self, lines: MapWalls, corners: MapCorners, path: Floats, keyframes: Floats) -> None:
+        if self._index is not None and self._index >= len(keyframes):
+            self._keyframe_layer.clear()
         self._map_layer.log(lines, corners)
         self._path_layer.log_estimate(path, keyframes)
         self._scan_layer.log_all(keyframes)
@@ -287,6 +302,6 @@ class EventLog:
         self._path_layer.log_growing_paths()
         log_grid(self._writer, self._scan_layer.placed(event.keyframes), CELL)
         log_confidence(self._writer, event)
-        counts = f"{len(event.keyframes)} keyframes, {len(event.walls)} walls, {len(event.corners)} corners"
-        self._log_text(f"finished: {counts}", "INFO")
+        sizes = (event.keyframes, "keyframe"), (event.walls, "wall"), (event.corners, "corner")
+        self._log_text(f"finished: {', '.join(counted(len(rows), noun) for rows, noun in sizes)}", "INFO")
         self._log_document("summary", documents.summary(event.summary))

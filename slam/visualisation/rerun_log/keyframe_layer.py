@@ -71,6 +71,12 @@ class KeyframeLayer:
             self._event = replace(self._event, pose=pose)
             self._log_features(self._event, lines, corners)
 
+    def clear(self) -> None:
+        """Remove the last keyframe, which is in the map no more, for example as a lost robot was found again."""
+        self._event = None
+        for entity in ("world/keyframe", "world/features"):
+            self._writer.log(entity, rr.Clear(recursive=True))
+
     def log_relocalisation(self, event: Relocalised, keyframe: int) -> None:
         """Draw the robot's outline at the pose of a relocalisation after a keyframe.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ...geometry.segments import Floats
@@ -41,10 +43,9 @@ class ShownArea:
             self._decided = True
             self._update_live_viewers()
 
-    def finish(self, *, truth: bool, typical_time: float | None, corrected: bool) -> None:
-        """Fit the layout to the whole map; arguments as in `Extent`."""
-        extent = Extent(*self._area, truth=truth, typical_time=typical_time, decided=self._decided, corrected=corrected)
-        self._writer.set_layout(layout(extent))
+    def finish(self, **content: Any) -> None:
+        """Fit the layout to the whole map; `content` as in `Extent`."""
+        self._writer.set_layout(layout(Extent(*self._area, decided=self._decided, **content)))
 
     def _update_live_viewers(self) -> None:
         if self._has_live_viewers:

@@ -54,6 +54,10 @@ class TimeSeries:
         self._writer.log_static(entity, style)
         self._writer.log(entity, rr.Scalars(value))
 
+    def count(self, group: str) -> int:
+        """Return the number of rows of a group with a value, of the latest MAX_VALUES."""
+        return int(np.isfinite(self._largest.get(group, ())).sum())
+
     def typical_maximum(self, group: str) -> float | None:
         """Return the 98th percentile of the largest value per row of a group, None without values."""
         largest = np.array(self._largest.get(group, ()))

@@ -4,6 +4,7 @@ import pytest
 from numba import njit
 from numba.core.event import install_listener
 
+from slam.cli import compilation
 from slam.cli.compilation_message import CompilationMessage
 
 from .test_console import wait_for_timers
@@ -21,6 +22,21 @@ def test_compiling_for_long_prints_one_message(
         assert outer(1.5) == 5.0  # compiled again, for another type
     wait_for_timers()
     assert capsys.readouterr().err == "wclm: compiling\n"
+
+
+def test_the_first_compilation_prints_one_message(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def warm_up() -> None:
+        njit(lambda x: x + 1)(1)
+        wait_for_timers()
+
+    for module in ("console", "compilation_message"):
+        monkeypatch.setattr(f"slam.cli.{module}.SLOW_SECONDS", 1e-6)
+    monkeypatch.setattr("slam.preprocessing.extraction.is_compiled", lambda: False)
+    monkeypatch.setattr("slam.warmup.warm_up", warm_up)
+    compilation.compile_all.__wrapped__()
+    assert capsys.readouterr().err == f"wclm: {compilation.COMPILING}\n"
 
 
 def test_compiling_for_a_short_time_prints_nothing(

@@ -102,6 +102,27 @@ def test_errors_of_damaged_drawings_are_short(tmp_path: Path) -> None:
     assert len(str(caught.value)) < 500
 
 
+def test_a_drawing_of_too_many_lines_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_drawing(tmp_path / "room.svg", 1.0)
+    monkeypatch.setattr("slam.io.plans.reader.MAX_LINES", 8)
+    assert len(read_plan(path).segments) == 8
+    monkeypatch.setattr("slam.io.plans.reader.MAX_LINES", 7)
+    with pytest.raises(MapError, match=r"room.svg: has 8 lines, more than 7; export the walls alone, or .*-layer"):
+        read_plan(path)
+
+
+def test_an_outline_that_crosses_itself_has_the_walls_that_are_drawn(tmp_path: Path) -> None:
+    crossing = np.array([[0.0, 0.0], [10.0, 8.0], [10.0, 0.0], [0.0, 8.0]])
+    outline = [*crossing.tolist(), crossing[0].tolist()]
+    (tmp_path / "a.json").write_text(json.dumps({"type": "Polygon", "coordinates": [outline]}))
+    plan = read_plan(tmp_path / "a.json")
+    assert_same_lines(plan.segments, sides(crossing))
+    walls = build_plan_map(plan, SIGMAS).walls
+    directions = np.arctan2(8.0, 10.0) * np.array([1.0, -1.0])
+    diagonal = [(np.abs(np.sin(walls.frame[:, 2] - heading)) < 1e-9).sum() for heading in directions]
+    assert diagonal == [2, 2]  # both sides of each are seen, and the other two lines from within
+
+
 def test_transformations_of_svg_are_applied(tmp_path: Path) -> None:
     group = '<g transform="translate(1 -2) rotate(90)"><g transform="scale(2)">{}</g></g>'
     line = '<rect x="0" y="0" width="2" height="1"/><path d="M0 0C1 1 2 1 3 0L4 0"/>'

@@ -224,6 +224,25 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
 
 
+def test_warnings_of_one_second_have_one_time(tmp_path: Path, finished: Finished) -> None:
+    warnings = [f"odometry slipped (at {70 + k / 10} s)" for k in range(6)]
+    trajectory = make(tmp_path / "out", finished).trajectory
+    (finding,) = findings(SUMMARY | {"warnings": warnings}, trajectory)
+    assert finding.text == "Odometry slipped, 6 times, at 1:10."
+
+
+def test_the_page_states_why_no_loop_was_closed_and_how_the_recording_was_read(
+    tmp_path: Path, finished: Finished
+) -> None:
+    slam = {"loops": {}, "loop_decisions": [], "returns": SUMMARY["slam"]["returns"]}
+    read = {"interpretations": ["beams in the opposite order", "lidar 0.2 s late"]}
+    text = words(page(tmp_path / "a", finished, SUMMARY | read | {"slam": slam}))
+    assert "No loop had to be closed: the map was correct wherever the robot returned to a known place." in text
+    assert "read as beams in the opposite order; lidar 0.2 s late" in text
+    text = words(page(tmp_path / "b", finished, SUMMARY | {"slam": slam | {"returns": {"count": 0, "looks": 0}}}))
+    assert "No loop was closed or rejected, as no return to a known place was found." in text
+
+
 def test_suspects_are_findings_and_only_those_of_the_path_are_grave(tmp_path: Path, finished: Finished) -> None:
     rows = [
         {"check": check, "stamp": 5.0 + k, "first": 5.0, "last": 5.0, "position": [0.0, 0.0], "weight": 2.0,
@@ -386,6 +405,8 @@ told.key = document.getElementById("about").textContent;
 slider.value = slider.max;
 slider.dispatchEvent(new Event("input"));
 told.end = drawn().length;
+const zoom = document.querySelector("#map [data-zoom]").getBoundingClientRect();
+told.covered = zoom.top < svg.getBoundingClientRect().bottom;
 const place = document.querySelector("button.place");
 place.click();
 told.place = [slider.value, ...box()];
@@ -433,6 +454,7 @@ def test_the_map_can_be_zoomed_dragged_and_queried(tmp_path: Path, finished: Fin
     assert told["layers"] == ["none", "inline", "none", "inline"]
     assert told["checked"]
     assert told["wide"]  # no horizontal overflow
+    assert told["covered"] == (size != "500,800")  # on a phone the buttons are below the map
 
 
 CHOOSE = """
@@ -495,7 +517,8 @@ MARKUP = '"><script>alert(1)</script>'
 
 def test_markup_in_a_foreign_summary_is_never_executed(tmp_path: Path, finished: Finished) -> None:
     session = make(tmp_path / "run", finished)
-    whole = SUMMARY | {"warnings": ["a"], "doubts": ["b"], "versions": {"numpy": "2"}, "recording_path": "c"}
+    texts = {"warnings": ["a"], "doubts": ["b"], "interpretations": ["d"]}
+    whole = SUMMARY | texts | {"versions": {"numpy": "2"}, "recording_path": "c"}
     written = 0
     for summary in hostile(whole):
         if not isinstance(summary, dict):

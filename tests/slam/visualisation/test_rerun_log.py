@@ -250,6 +250,27 @@ def test_empty_and_unknown_values_are_accepted(tmp_path):
     assert rows(tmp_path / "bare.rrd", "/world/keyframe/scan", "Points3D:positions") == [(0, []), (1, [])]
 
 
+def test_equal_notices_of_a_keyframe_are_logged_once(tmp_path):
+    slip, gap = (lambda stamp, text=text: Notice(stamp, text) for text in ("slipped", "a gap"))
+    events = [bare_keyframe(0), slip(0.1), slip(0.2), gap(0.3), slip(0.4), bare_keyframe(1), slip(1.1), slip(1.2)]
+    log_events(tmp_path / "log.rrd", events)
+    texts = [(index, text[0]) for index, text in rows(tmp_path / "log.rrd", "/log", "TextLog:text")]
+    assert texts == [(0, "slipped"), (0, "a gap"), (0, "slipped"), (1, "slipped")]
+
+
+def test_a_keyframe_that_is_in_the_map_no_more_is_cleared(tmp_path):
+    no_lines = MapWalls(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0),
+                        np.empty(0, dtype=np.int64), np.empty((0, 2, 2)), ())  # fmt: skip
+    no_corners = MapCorners(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2, 2)),
+                            np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64))  # fmt: skip
+    scan = replace(bare_keyframe(2), points=np.ones((5, 2)))
+    kept, dropped = ([scan, MapUpdated(2, 2.0, np.zeros((left, 3)), no_lines, no_corners, 1.0, 0.0)] for left in (3, 2))
+    for events, cleared in ((kept, []), (dropped, [(2, [True])])):
+        path = tmp_path / f"{bool(cleared)}.rrd"
+        assert log_events(path, events).failures == 0
+        assert rows(path, "/world/features", "Clear:is_recursive") == cleared
+
+
 def test_suspects_are_marked_and_named_from_their_own_time_on(tmp_path):
     events = [bare_keyframe(0), bare_keyframe(1), SuspectFound(1, 1.0, "at 1.0 s: the map", np.array([3.0, 4.0]))]
     events.append(SuspectFound(0, 0.0, "at 0.0 s: odometry", np.array([5.0, 6.0])))

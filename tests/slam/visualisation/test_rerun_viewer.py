@@ -13,12 +13,23 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from slam.events import ComparedPoints, Correction, Event, GraphInspected, LoopCheck, LoopDecided, MapUpdated
+from slam.events import (
+    ComparedPoints,
+    Correction,
+    Event,
+    GraphInspected,
+    KeyframeAdded,
+    LoopCheck,
+    LoopDecided,
+    MapUpdated,
+)
 from slam.graph.residuals import ODOMETRY, WALL, Residuals
 from slam.loop_closure.loop_status import LoopStatus
 from slam.visualisation.rerun_log import ReviewLog, colours
-from slam.visualisation.rerun_log.combined_log import write_combined_log
+from slam.visualisation.rerun_log.blueprint import layout
+from slam.visualisation.rerun_log.combined_log import extent_of, write_combined_log
 from slam.visualisation.rerun_log.log_files import find_log
+from slam.visualisation.rerun_log.rrd_reader import chunks_of
 
 from ..corridor import Corridor
 from ..viewers import errors, load, pixels_of, viewer
@@ -131,6 +142,18 @@ def test_the_table_of_loop_decisions_is_shown_if_there_are_any(
         with viewer() as client:
             load(client, log)
             assert [view.name for view in client.get_state().views].count("Loop decisions") == expected, log
+
+
+def test_the_log_of_a_robot_that_was_only_localised_opens_on_the_timeline_of_its_scans(
+    corridor: tuple[Path, list[Event]], tmp_path: Path
+) -> None:
+    added = [event for event in corridor[1] if isinstance(event, KeyframeAdded)]
+    kept = [event for event in corridor[1] if not isinstance(event, KeyframeAdded) or event is added[0]]
+    localised = write(tmp_path / "localised.rrd", kept)
+    for log, mapped in ((localised, False), (corridor[0], True)):
+        content = extent_of(list(chunks_of([log])))
+        assert content.mapped == mapped
+        assert layout(content).time_panel.timeline == ("keyframe" if mapped else "sensor_time")
 
 
 def test_two_logs_are_shown_side_by_side(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
