@@ -58,6 +58,9 @@ VIEW_CHANGE_MEMORY = 10.0
 # tentative before the next one decides.
 MAX_UNTRACKED_SCANS = 4
 
+# Predictions from a tentative pose. Origin: definition, by odometry and by an even motion.
+FROM_TENTATIVE = 2
+
 
 class Tracker:
     """Pose tracking from the last fix on."""
@@ -156,7 +159,8 @@ class Tracker:
         abrupt = tracked and (differs or (slipped and match.poor and self.view_changed))
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
-        result = self._result(match, status, slipped=slipped, abrupt=abrupt)
+        follows = self._tentative is not None and match.points.prediction in predictions[-FROM_TENTATIVE:]
+        result = replace(self._result(match, status, slipped=slipped, abrupt=abrupt), follows=follows)
         self._update_fix(result, match.score, odometry)
         return result
 
@@ -200,7 +204,7 @@ class Tracker:
             predictions.append(self._by_odometry(self._before_slip, odometry, slip))
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
-            predictions += [self._by_odometry(self._tentative, odometry, even), even]
+            predictions += [self._by_odometry(self._tentative, odometry, even), even]  # FROM_TENTATIVE
         return predictions
 
     def _judge(

@@ -140,6 +140,26 @@ def test_odometry_that_stands_still_for_two_seconds_is_corrected(begin: float, m
     assert errors[-10:, 1].max() < 0.005
 
 
+@pytest.mark.parametrize("jump", [[0.9, 0.0, 0.0], [0.0, -0.8, 0.3], [-1.0, 0.4, -0.5]])
+def test_the_path_does_not_follow_a_jump_of_odometry(jump: list[float]) -> None:
+    """Not even at the first scan after the jump, whose pose the next scan confirms."""
+    slam, truth = Slam(), {}
+    for message in Simulation(world="office", seed=1, duration=10.0, lidar=LidarModel(beams=360)):
+        if isinstance(message, GroundTruth):
+            truth[message.stamp] = message.pose
+        if isinstance(message, Odometry) and message.stamp - min(truth) > 7.0:
+            message = replace(message, pose=se2.compose(np.array(jump), message.pose))
+        slam.add(message)
+    scans, _ = slam.slam_state.trajectory.at_scans(slam.slam_state.mapper.keyframe_poses)
+    result = slam.finish()
+    stamps, true = np.array(list(truth)), np.array(list(truth.values()))
+    at_scans = np.isin(result.stamps, scans)
+    assert np.diff(scans).max() < 0.15  # none is missing
+    errors = se2.between(true[0], true)
+    expected = np.column_stack([np.interp(result.stamps[at_scans], stamps, errors[:, k]) for k in range(2)])
+    assert np.hypot(*(result.poses[at_scans, :2] - expected).T).max() < 0.05
+
+
 def test_the_path_goes_on_evenly_while_odometry_counts_backwards() -> None:
     """The scans predict each other although they are few, and the robot is never lost."""
     result, errors, _ = drive(ReversedOdometry(10.0, 20.0))
