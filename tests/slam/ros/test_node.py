@@ -274,7 +274,7 @@ def test_the_mode_changes_while_the_node_runs(node_run: NodeRun, tmp_path: Path)
 def test_a_map_that_is_only_localised_in_remains_the_result(node_run: NodeRun, tmp_path: Path) -> None:
     link, out = MemoryLink(), tmp_path / "out"
     robot = [item for item in node_run.robot if item.arrival < START + 6.0]
-    calls = {30: lambda: link.call("/slam_toolbox/set_localization_mode", data=True)}
+    calls = {15: lambda: link.call("/slam_toolbox/set_localization_mode", data=True)}
     run_node(link, robot, out, calls, patience=0.05)
     assert read_tum(out / TRAJECTORY).stamps[-1] < START + 4.0
     assert read_session(out).slam_state.mapper.keyframe_count
