@@ -157,7 +157,12 @@ DEVICE_KINDS: dict[str, DeviceKind] = {
         LIDAR_OPTIONS | {"stray_filter": STRAY_OPTION},
         description="LDROBOT LD06, LD19 and STL-27L. The baud rate is detected",
     ),
-    "scip": DeviceKind(True, LIDAR_OPTIONS | {"serial": SERIAL_OPTION}, description="Hokuyo's lidars with SCIP 2.0"),
+    "scip": DeviceKind(
+        True,
+        LIDAR_OPTIONS | {"mode": MODE_OPTION, "serial": SERIAL_OPTION},
+        description="Hokuyo's lidars with SCIP 2.0. Scan modes: `distance`, the default; `intensity`; `last` and "
+        "`strongest` use that one of several echoes of a beam",
+    ),
     "create2": DeviceKind(False, WHEEL_OPTIONS, description="iRobot Create 2, Roomba from the 500 series on"),
     "kobuki": DeviceKind(False, WHEEL_OPTIONS, description="Kobuki; its gyro's heading is used"),
     "arduino": DeviceKind(False, WHEEL_OPTIONS, GEOMETRY_OPTIONS, description="ros_arduino_bridge"),

@@ -1,15 +1,19 @@
-"""Hokuyo lidars with SCIP 2.0, on USB, RS-232 or Ethernet."""
+"""Hokuyo lidars with SCIP 2.0, on USB, RS-232 or Ethernet.
+
+Every one of them reports ranges, some also intensities and several echoes of a beam. More than ranges is requested
+only if the user selects such a scan mode: it takes twice the bytes or more.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import NoResponseError
+from ..errors import DriverError, NoResponseError
 from ..lidars import scip, scip_scan
 from ..lidars.scip import Parameters, Reply, ReplyParser
 from ..transport import Transport
@@ -21,6 +25,23 @@ BAUDS = (115200, 19200, 38400)
 RESPONSE_TIMEOUT = 0.5
 """Seconds; a measuring device may first finish a scan."""
 MAX_TRIES = 2
+
+
+class ScanMode(NamedTuple):
+    """What to request for each step, and which of several echoes to use."""
+
+    intensity: bool = False
+    echoes: bool = False
+    strongest: bool = False
+
+
+SCAN_MODES = {
+    "distance": ScanMode(),
+    "intensity": ScanMode(intensity=True),
+    "last": ScanMode(intensity=True, echoes=True),
+    "strongest": ScanMode(intensity=True, echoes=True, strongest=True),
+}
+"""Scan modes by name: ranges only, also intensities, the last echo of each beam, the strongest one."""
 
 
 class ScipDevice(LidarDevice):
@@ -59,10 +80,18 @@ class ScipDevice(LidarDevice):
     def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
         assert self._parameters is not None
         parameters = self._parameters
-        request = scip.MeasureRequest(parameters.first, parameters.last)
-        decoder = scip_scan.ScipDecoder(parameters, request, baud if "baud" in self._options else math.inf)
+        name = self._options.get("mode", "distance")
+        if name not in SCAN_MODES:
+            raise DriverError(f"{transport.name}: there is no scan mode {name!r}; there are: {', '.join(SCAN_MODES)}")
+        mode = SCAN_MODES[name]
+        request = scip.MeasureRequest(parameters.first, parameters.last, intensity=mode.intensity, echoes=mode.echoes)
+        line_speed = baud if "baud" in self._options else math.inf
+        decoder = scip_scan.ScipDecoder(parameters, request, line_speed, strongest=mode.strongest)
         _request(transport, scip.LASER_ON)
-        transport.write(request.packet())
+        if mode == SCAN_MODES["distance"]:  # which every lidar has
+            transport.write(request.packet())
+        elif (status := _request(transport, request.packet()).status) != scip.OK:
+            raise DriverError(f"{transport.name}: the lidar has no scan mode {name!r} (status {status})")
         size = len(scip_scan.encode(np.zeros(request.count), request, 0))
         limits = (parameters.range_min, parameters.range_max)
         return LidarStream(decoder, 60.0 / parameters.speed, size, limits, whole_packets=True)

@@ -29,7 +29,7 @@ from .ld06 import LD06_VARIANTS, EmulatedLd06
 from .pty_port import PtyPort
 from .robot_motion import CommandedPilot, PathPilot, RobotMotion
 from .rplidar import EmulatedRplidar
-from .scip import URG, EmulatedScip
+from .scip import SCIP_VARIANTS, EmulatedScip
 from .serial_line import Corruptor, SerialLine
 from .wheel_sensors import Encoders, Gyro
 
@@ -107,8 +107,10 @@ class Emulator:
             model = LD06_VARIANTS[setup.lidar]
             limits = beams(model.range_min, model.range_max)
             return EmulatedLd06(setup.lidar, SerialLine(model.baud), drift, limits, model)
-        if setup.lidar == "scip":
-            return EmulatedScip(setup.lidar, SerialLine(math.inf), drift, beams(URG.range_min, URG.range_max))
+        if setup.lidar in SCIP_VARIANTS:
+            parameters = SCIP_VARIANTS[setup.lidar]
+            limits = beams(parameters.range_min, parameters.range_max)
+            return EmulatedScip(setup.lidar, SerialLine(math.inf), drift, limits, parameters)
         kind = rplidar_variants.RPLIDAR_VARIANTS[setup.lidar]
         limits = beams(kind.model.range_min, kind.model.range_max)
         return EmulatedRplidar(setup.lidar, SerialLine(kind.baud), drift, kind, limits)

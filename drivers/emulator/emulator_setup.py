@@ -11,6 +11,7 @@ from ..errors import DriverError
 from ..simulation import LidarModel, WheelModel, World
 from . import rplidar_variants, wheel_base
 from .ld06 import LD06_VARIANTS
+from .scip import SCIP_VARIANTS
 
 DRIVES = ("path", "base", "keyboard")
 """Pilots: the world's path, the velocities sent to the base, the arrow keys."""
@@ -24,7 +25,7 @@ MAX_CLOCK_DRIFT = 10_000.0
 
 def lidar_names() -> list[str]:
     """Return the names of the lidars that can be emulated."""
-    return [*rplidar_variants.RPLIDAR_VARIANTS, *LD06_VARIANTS, "scip"]
+    return [*rplidar_variants.RPLIDAR_VARIANTS, *LD06_VARIANTS, *SCIP_VARIANTS]
 
 
 def base_names() -> list[str]:

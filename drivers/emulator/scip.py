@@ -1,4 +1,7 @@
-"""An emulated Hokuyo URG-04LX with SCIP 2.0 over native USB: the baud rate does not matter."""
+"""Emulated Hokuyo lidars with SCIP 2.0 over native USB, where the baud rate does not matter.
+
+The URG-04LX measures ranges only. The UTM-30LX-EW also measures intensities, and two echoes of a beam at an edge.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,18 @@ from .device import EmulatedDevice
 from .serial_line import SerialLine
 
 URG = Parameters("URG-04LX(Hokuyo Automatic Co.,Ltd.)", 0.02, 5.6, 1024, 44, 725, 384, 600.0)
-IDENTITY = ("VEND:Hokuyo Automatic Co.,Ltd.", "PROD:SOKUIKI Sensor URG-04LX", "FIRM:3.3.00", "PROT:SCIP 2.0", "SERI:H0")
+UTM = Parameters("UTM-30LX-EW", 0.023, 60.0, 1440, 0, 1080, 540, 2400.0)
+SCIP_VARIANTS = {"scip": URG, "scip-utm": UTM}
+"""Lidars by the name that a user gives."""
+INTENSITY = 4000.0
+"""Intensity at one metre; it decreases in proportion to the range."""
+EDGE = 0.1
+"""Metres between the ranges of neighbouring steps above which a beam between them returns two echoes."""
 UNKNOWN, WRONG_STEPS = "0E", "04"
 """Status of an unknown command, and of invalid steps."""
 MAX_COMMAND_LENGTH = 64
 """Bytes; longer commands are invalid."""
-MEASURE_PATTERN = re.compile(rb"([MG])([DS])(\d{4})(\d{4})(\d{2})(?:(\d)(\d{2}))?")
+MEASURE_PATTERN = re.compile(rb"([MGNH])([DSE])(\d{4})(\d{4})(\d{2})(?:(\d)(\d{2}))?")
 
 
 @dataclass(slots=True)
@@ -36,10 +45,13 @@ class _MeasurementTask:
 
 
 class EmulatedScip(EmulatedDevice):
-    """A URG-04LX. Its head turns counter-clockwise; step 0 of revolution k is measured after k turns of its clock."""
+    """One of SCIP_VARIANTS. Its head turns counter-clockwise; step 0 of revolution k is measured after k turns of its
+    clock.
+    """
 
-    def __init__(self, name: str, line: SerialLine, drift: float, beams: BeamModel) -> None:
+    def __init__(self, name: str, line: SerialLine, drift: float, beams: BeamModel, model: Parameters) -> None:
         super().__init__(name, line, drift, usb_powered=True)
+        self.model = model
         self._beams = beams
         self._held = b""
         self._bytes_skipped = 0
@@ -73,11 +85,11 @@ class EmulatedScip(EmulatedDevice):
         match = MEASURE_PATTERN.fullmatch(line)
         texts: dict[bytes, tuple[bytes, ...]] = {
             **dict.fromkeys((b"BM", b"SCIP2.0", b"TM0", b"TM2", b"QT", b"RS"), ()),
-            b"VV": encode_text_lines(IDENTITY),
+            b"VV": encode_text_lines(self._identity),
             b"II": encode_text_lines(self._state(time)),
-            b"PP": URG.lines(),
+            b"PP": self.model.lines(),
         }
-        if match is not None and (match[1] == b"M") == (match[6] is not None):
+        if match is not None and (match[1] in b"MN") == (match[6] is not None):
             self._start_measuring(line, match, time)
             return
         if line in (b"QT", b"RS"):
@@ -96,13 +108,24 @@ class EmulatedScip(EmulatedDevice):
         self.requests += 1
         self.line.send(reply.packet(), time)
 
+    @property
+    def _product(self) -> str:
+        """Name of the model without that of its maker."""
+        return self.model.model.partition("(")[0]
+
+    @property
+    def _identity(self) -> tuple[str, ...]:
+        """Lines of the reply to VV."""
+        product = f"PROD:SOKUIKI Sensor {self._product}"
+        return ("VEND:Hokuyo Automatic Co.,Ltd.", product, "FIRM:3.3.00", "PROT:SCIP 2.0", "SERI:H0")
+
     def _state(self, time: float) -> tuple[str, ...]:
         """Return the lines of state and condition."""
         measuring = self._task is not None
         return (
-            "MODL:URG-04LX",
+            f"MODL:{self._product}",
             f"LASR:{'ON' if measuring else 'OFF'}",
-            f"SCSP:{round(URG.speed)}",
+            f"SCSP:{round(self.model.speed)}",
             f"MESM:{'Measuring by Normal Mode' if measuring else 'Idle'}",
             "SBPS:USB",
             f"TIME:{self._clock(self.to_device_time(time)):06X}",
@@ -112,14 +135,17 @@ class EmulatedScip(EmulatedDevice):
     def _start_measuring(self, line: bytes, match: re.Match[bytes], time: float) -> None:
         """Start a measurement request."""
         first, last, cluster = (int(match[i]) for i in (3, 4, 5))
-        continuous = match[1] == b"M"
-        width = 3 if match[2] == b"D" else 2
-        request = MeasureRequest(first, last, max(cluster, 1), continuous, width, int(match[6] or 0))
+        continuous, echoes, intensity = match[1] in b"MN", match[1] in b"NH", match[2] == b"E"
+        width, skip = 2 if match[2] == b"S" else 3, int(match[6] or 0)
+        if ((echoes or intensity) and self.model is URG) or (echoes and width == 2):
+            self.line.send(Reply(line, UNKNOWN, (), 0).packet(), time)
+            return
+        request = MeasureRequest(first, last, max(cluster, 1), continuous, width, skip, intensity, echoes)
         self.requests += 1
-        if not URG.first <= first <= last <= URG.last:
+        if not self.model.first <= first <= last <= self.model.last:
             self.line.send(Reply(line, WRONG_STEPS, (), 0).packet(), time)
             return
-        revolution = math.ceil(self.to_device_time(time) * URG.speed / 60.0)
+        revolution = math.ceil(self.to_device_time(time) * self.model.speed / 60.0)
         wanted = int(match[7] or 0) or None
         self._task = _MeasurementTask(request, revolution, wanted if continuous else 1)
         if continuous:
@@ -134,7 +160,7 @@ class EmulatedScip(EmulatedDevice):
 
     def _device_times(self, task: _MeasurementTask, steps: Floats) -> Floats:
         """Return the device times at which steps (n,) are measured."""
-        return np.asarray(task.revolution * 60.0 / URG.speed + steps * URG.step_period)
+        return np.asarray(task.revolution * 60.0 / self.model.speed + steps * self.model.step_period)
 
     def advance(self, time: float) -> None:
         """Measure and send all scans that are due."""
@@ -145,15 +171,19 @@ class EmulatedScip(EmulatedDevice):
         request, ready = task.request, self.due
         steps = np.arange(request.first, request.last + 1, dtype=np.float64)
         device_time = self._device_times(task, steps)
-        ranges = self._beams.measure(self.to_host_time(device_time), (steps - URG.front) * (2.0 * np.pi / URG.steps))
-        padded = np.full(request.count * request.cluster, np.inf)
-        padded[: len(ranges)] = np.where(np.isnan(ranges), np.inf, ranges)
-        nearest = padded.reshape(request.count, -1).min(axis=1)
+        ranges = self._beams.measure(
+            self.to_host_time(device_time), (steps - self.model.front) * (2.0 * np.pi / self.model.steps)
+        )
         if task.remaining is not None:
             task.remaining -= 1
-        reported = np.where(np.isfinite(nearest), nearest, np.nan)
+        reported, behind = _nearest(ranges, request), None
+        if request.echoes:
+            ranges, farther = _echoes(ranges)
+            reported, behind = _nearest(ranges, request), _nearest(farther, request)
+        clock, remaining = self._clock(float(device_time[-1])), task.remaining or 0
+        intensities = np.nan_to_num(INTENSITY / reported)
         self.line.send(
-            scip_scan.encode(reported, request, self._clock(float(device_time[-1])), task.remaining or 0), ready
+            scip_scan.encode(reported, request, clock, remaining, intensities=intensities, behind=behind), ready
         )
         self.scans += 1
         task.revolution += 1 + request.skip
@@ -167,3 +197,19 @@ class EmulatedScip(EmulatedDevice):
     def report(self) -> dict[str, object]:
         """Return the number of scans sent."""
         return {"scans": self.scans}
+
+
+def _nearest(ranges: Floats, request: MeasureRequest) -> Floats:
+    """Return the nearest of the ranges of each cluster of a request, NaN if there is none."""
+    padded = np.full(request.count * request.cluster, np.inf)
+    padded[: len(ranges)] = np.where(np.isnan(ranges), np.inf, ranges)
+    nearest = padded.reshape(request.count, -1).min(axis=1)
+    return np.where(np.isfinite(nearest), nearest, np.nan)
+
+
+def _echoes(ranges: Floats) -> tuple[Floats, Floats]:
+    """Return the first and the second echo (n,) of beams that are wide enough to hit what the next step hits."""
+    following = np.append(ranges[1:], np.nan)
+    near, far = np.fmin(ranges, following), np.fmax(ranges, following)
+    at_edge = np.abs(following - ranges) > EDGE
+    return np.where(at_edge, near, ranges), np.where(at_edge, far, np.nan)

@@ -22,6 +22,8 @@ MAX_LINE_LENGTH = 256
 MAX_LINES = 256
 """Lines of a reply; 1 921 steps of three characters, the maximum of a Hokuyo, take 91."""
 OK = "00"
+ECHO = ord("&")
+"""Character before all returns of a step but the first."""
 DATA = "99"
 """Status of the replies of a continuous measurement."""
 
@@ -223,9 +225,12 @@ class MeasureRequest:
     """A request for measurements of the steps `first` to `last`, in clusters of `cluster` neighbours of which the
     nearest is reported.
 
-    continuous  True for MD and MS, which repeat until STOP; False for GD and GS, which reply once
+    continuous  True for MD, MS, ME, ND and NE, which repeat until STOP; False for GD, GS, GE, HD and HE, which reply
+                once
     width       characters per value: 3, or 2 for ranges below 4.096 m
     skip        scans left out between two
+    intensity   True for ME, GE, NE and HE: each range is followed by the intensity of its return, of the same width
+    echoes      True for ND, NE, HD and HE: several ranges for each step
     """
 
     first: int
@@ -234,6 +239,8 @@ class MeasureRequest:
     continuous: bool = True
     width: int = 3
     skip: int = 0
+    intensity: bool = False
+    echoes: bool = False
 
     @property
     def count(self) -> int:
@@ -241,9 +248,15 @@ class MeasureRequest:
         return math.ceil((self.last - self.first + 1) / self.cluster)
 
     @property
+    def characters(self) -> int:
+        """Number of characters of a range, with its intensity if that is requested."""
+        return (1 + self.intensity) * self.width
+
+    @property
     def echo_prefix(self) -> bytes:
         """Beginning of every echo."""
-        command = ("M" if self.continuous else "G") + ("D" if self.width == 3 else "S")
+        command = ("MN" if self.continuous else "GH")[self.echoes]
+        command += "E" if self.intensity else "D" if self.width == 3 else "S"
         text = f"{command}{self.first:04d}{self.last:04d}{self.cluster:02d}"
         return (text + (f"{self.skip:01d}" if self.continuous else "")).encode("ascii")
 

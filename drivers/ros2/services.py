@@ -19,6 +19,7 @@ SERIALIZE_MAP = "slam_toolbox/srv/SerializePoseGraph"
 DESERIALIZE_MAP = "slam_toolbox/srv/DeserializePoseGraph"
 PAUSE = "slam_toolbox/srv/Pause"
 RESET = "slam_toolbox/srv/Reset"
+SET_BOOL = "std_srvs/srv/SetBool"
 
 DEFINITIONS = {
     GET_MAP: ("", "nav_msgs/OccupancyGrid map"),
@@ -27,6 +28,7 @@ DEFINITIONS = {
     DESERIALIZE_MAP: ("string filename\nint8 match_type\ngeometry_msgs/Pose2D initial_pose", ""),
     PAUSE: ("", "bool status"),
     RESET: ("bool pause_new_measurements false", "uint8 result"),
+    SET_BOOL: ("bool data", "bool success\nstring message"),
 }
 """Fields of request and response. Constants are left out: neither bytes nor hashes contain them."""
 

@@ -48,7 +48,7 @@ class EarlierPart:
         """Track a scan in the earlier part."""
         self._scans += 1
         tracking = track(self.state, scan, StageTimer())
-        self.state.untracked_scans = []  # no part begins with them
+        self.state.untracked_scans, self.state.tentative = [], []  # no part begins with them
         extend_trajectory(self.state, scan.stamp, tracking)
         self.monitor.record(scan)
         self._count(_evidence(tracking), scan.odometry)

@@ -90,6 +90,7 @@ def update_map(
     Returns the changes of the map; None if the scan did not become a keyframe.
     """
     update = None
+    _extend_trajectory_by_tentative(state, scan.stamp, tracking)
     if tracking.status is TrackingStatus.TRACKED and _moved_enough(state, tracking.predicted.pose):
         state.pose = tracking.registration.pose
         familiar = _familiar_keyframe(state, tracking)
@@ -148,6 +149,21 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     state.local_map = state.mapper.local_map_at(state.pose, LOCAL_MAP_MARGIN + scan.features.segments.reach())
     state.tracker.correct(state.pose)
     state.update_local_field()
+
+
+def _extend_trajectory_by_tentative(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
+    """Append the tentative poses before a tracked scan that was found from them; else only odometry would place them.
+
+    Odometry has failed there, so it may lead anywhere. A tentative pose is kept until the next scan confirms it.
+    """
+    earlier = state.tentative if tracking.follows else []
+    state.tentative = [*earlier, (stamp, tracking)] if tracking.status is TrackingStatus.TENTATIVE else []
+    if tracking.status is not TrackingStatus.TRACKED or state.anchor is None or state.at_part_begin:
+        return
+    keyframe = state.anchor.keyframe
+    for before, result in earlier:
+        relative = se2.between(state.mapper.keyframe_poses[keyframe], result.pose)
+        state.trajectory.add(before, keyframe, relative, result.registration.total_information)
 
 
 def extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) -> None:

@@ -19,7 +19,7 @@ from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField, LocalFieldState
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import Tracker
-from ..localisation.tracking import PoseFix, TrackerState
+from ..localisation.tracking import PoseFix, TrackerState, TrackingResult
 from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.join_search import JoinSearch
 from ..loop_closure.loop_hypothesis import LoopAgreementState
@@ -95,6 +95,7 @@ class SlamState:
     frozen               True if only the trajectory is estimated and the map stays as it is
     plan                 plan of the building that supports the map; None without one
     untracked_scans      the last scans in a row that fitted nowhere, or only tentatively
+    tentative            stamps and results of the last scans in a row whose tentative poses were found one from another
     """
 
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
@@ -115,6 +116,7 @@ class SlamState:
         self.frozen = False
         self.plan: PlanPrior | None = None
         self.untracked_scans: list[ProcessedScan] = []
+        self.tentative: list[tuple[float, TrackingResult]] = []
 
     @classmethod
     def restored(
@@ -199,7 +201,7 @@ class SlamState:
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the base's pose in the map at `odometry`, regardless of the pose tracked so far."""
         self.tracker.move_to(pose, odometry)
-        self.pose, self.kidnapped, self.untracked_scans = pose, True, []
+        self.pose, self.kidnapped, self.untracked_scans, self.tentative = pose, True, [], []
         self.local_map = self.mapper.local_map_at(pose, RELOCALISED_RADIUS)
 
     def place(self, pose: se2.Pose, scan: ProcessedScan) -> bool:
@@ -251,7 +253,7 @@ class SlamState:
         self.mapper.begin_part(measured=not self.kidnapped)
         self.mapper.free_space_evidence.clear()
         self.tracker.start_again(pose, odometry)
-        self.pose, self.untracked_scans = pose, []
+        self.pose, self.untracked_scans, self.tentative = pose, [], []
         self.local_map = empty_local_map()
         self.local_field.begin_part()
         self.loops.clear()

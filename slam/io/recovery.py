@@ -32,7 +32,7 @@ def _recover(target: Path, folder: Path) -> list[str]:
         (folder / name).unlink(missing_ok=True)
     saved, old = sibling_directories(folder)
     shutil.rmtree(saved, ignore_errors=True)  # incomplete, or replaced by the target
-    if old.is_dir():
+    if old.is_dir() and not old.is_symlink():
         place = target if not target.exists() else _free_name(target, "earlier")
         old.rename(place)
         lines.append(f"{place}: results of the run before")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,6 +54,12 @@ class StoredSession:
         stamps = [history.latest for history in self.odometry]
         stamps += [scan.stamp for scan in self.scans[-1:]] + [scan.stamp for scan in self.queued_scans]
         return max(stamps, default=-np.inf)
+
+    def copy(self) -> StoredSession:
+        """Return a copy that a run which continues this session does not change."""
+        odometry = [history.copy() for history in self.odometry]
+        state, scans = self.slam_state.copy(), list(self.scans)
+        return replace(self, slam_state=state, scans=scans, odometry=odometry, starts=list(self.starts))
 
     def scan_history(self) -> ScanHistory:
         """Return all processed scans with their poses relative to keyframes."""

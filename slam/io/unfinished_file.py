@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,7 +24,8 @@ def unfinished_file(path: Path, overwrite: bool = False) -> Iterator[Path]:
         raise OutputError(f"{path}: there is no directory {path.parent}")
     if path.exists() and not overwrite:
         raise OutputError(f"{path}: exists already; choose another name or add --overwrite")
-    work = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
+    # The name is random: a file that came with a foreign map could be a link with a foreseen name, to any file.
+    work = path.with_name(f".{path.stem}-{secrets.token_hex(8)}{path.suffix}")
     try:
         yield work
         sync_file(work)

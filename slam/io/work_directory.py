@@ -89,7 +89,9 @@ def _work_directories(target: Path) -> list[Path]:
     if not target.parent.is_dir():
         return []
     pattern = re.compile(rf"\.{re.escape(target.name)}-[a-z0-9_]{{8}}")
-    found = [entry for entry in target.parent.iterdir() if pattern.fullmatch(entry.name) and entry.is_dir()]
+    # A link is none: it may have come with a map from elsewhere, and lead to any directory.
+    named = [entry for entry in target.parent.iterdir() if pattern.fullmatch(entry.name)]
+    found = [entry for entry in named if entry.is_dir() and not entry.is_symlink()]
     return sorted(found, key=lambda entry: entry.stat().st_mtime, reverse=True)
 
 

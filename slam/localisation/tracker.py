@@ -5,6 +5,10 @@ still for a second and then catch up, jump, or count backwards, so the scan is a
 that moves on evenly, at the velocity of the scans before. If it fits best there, its pose is tentative, and the next
 scan decides if odometry continues from there, has caught up, or keeps failing: these are equally probable. If a scan
 fits nowhere, the pose follows odometry. After several scans in a row without a certain pose the robot counts as lost.
+
+Without odometry each motion is predicted to be even. Most are, so the prediction is narrow; but a robot that starts or
+stops to turn is off by many of its standard deviations, and a scan fits well at many wrong headings. So all poses that
+the robot can reach by accelerating are searched at every scan.
 """
 
 from __future__ import annotations
@@ -50,6 +54,9 @@ VIEW_CHANGE_MEMORY = 10.0
 # with each other are accepted. Origin: measured, on recordings of fifteen drives indoors at most three in a row are
 # tentative before the next one decides.
 MAX_UNTRACKED_SCANS = 4
+
+# Predictions from a tentative pose. Origin: definition, by odometry and by an even motion.
+FROM_TENTATIVE = 2
 
 
 class Tracker:
@@ -143,7 +150,7 @@ class Tracker:
         poorly and against odometry and the view has changed recently: it fits here by chance then.
         """
         predictions = self._predict(stamp, odometry)
-        match = target.match(scan, predictions)
+        match = target.match(scan, predictions, exhaustive=not self._model.measured)
         status, slipped = self._judge(match, predictions, scan, target)
         tracked = status is TrackingStatus.TRACKED
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
@@ -152,7 +159,8 @@ class Tracker:
         abrupt = tracked and (differs or (slipped and match.poor and self.view_changed))
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
-        result = self._result(match, status, slipped=slipped, abrupt=abrupt)
+        follows = self._tentative is not None and match.points.prediction in predictions[-FROM_TENTATIVE:]
+        result = replace(self._result(match, status, slipped=slipped, abrupt=abrupt), follows=follows)
         if status is TrackingStatus.TRACKED and self._model.measured:
             predicted, of_match = predictions[0], inverse(match.points.information + CONDITIONING)
             difference = se2.between(predicted.pose, match.points.pose)
@@ -200,7 +208,7 @@ class Tracker:
             predictions.append(self._by_odometry(self._before_slip, odometry, slip))
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
-            predictions += [self._by_odometry(self._tentative, odometry, even), even]
+            predictions += [self._by_odometry(self._tentative, odometry, even), even]  # FROM_TENTATIVE
         return predictions
 
     def _judge(
@@ -256,7 +264,9 @@ class Tracker:
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, SLIP_COST)
         if not self._model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
             slip = replace(slip, information=_information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
-        inertia = slip if self._model.measured and self._since_fix is not None else None
+            sigmas = self._velocity.deviations(self._since_fix or 0.0) + PREDICTION_SIGMAS
+            return replace(self._by_odometry(self._reference, odometry, None), search_sigmas=sigmas[1:]), slip
+        inertia = slip if self._since_fix is not None else None
         return self._by_odometry(self._reference, odometry, inertia), slip
 
     def _by_odometry(self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None) -> Prediction:

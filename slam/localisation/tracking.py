@@ -42,6 +42,7 @@ class TrackingResult:
     known         number of points in space that was seen before
     slipped       True if odometry's motion since the reference contradicts the pose
     abrupt        True if the scan fits by chance only: it is then FAILED, and the robot may have been kidnapped
+    follows       True if the pose was found from the tentative pose of the scan before, which is right if this one is
     """
 
     pose: se2.Pose
@@ -54,6 +55,7 @@ class TrackingResult:
     known: int
     slipped: bool
     abrupt: bool
+    follows: bool = False
 
     @property
     def scan_pose(self) -> se2.Pose:

@@ -1,9 +1,9 @@
 """Match all points of a scan to the distance field, near poses that are predicted with a known uncertainty.
 
-Gauss-Newton on the interpolated vectors starts at each prediction, first with a wide kernel, then with a narrow one.
-If the best result fits badly, or if time does not matter, the poses within the uncertainty of each prediction are
-searched exhaustively, and the best ones are improved in the same way. A pose is judged by a cost, minus the logarithm
-of its likelihood,
+Gauss-Newton on the interpolated vectors starts at each prediction, first with a wide kernel, then with a narrow one. If
+the best result fits badly, if no odometry narrows the prediction, or if time does not matter, the poses within the
+uncertainty of each prediction are searched exhaustively, and the best ones are improved in the same way. A pose is
+judged by a cost, minus the logarithm of its likelihood,
 
     sum_k min(d_k^2 / (2 COARSE_SIGMA^2), MISFIT) / POINTS_PER_OBJECT + KERNEL^2 log(1 + e' P e / KERNEL^2) / 2
         - log(det P) / 2 + c
@@ -83,6 +83,7 @@ class Prediction:
     cost         minus the logarithm of the probability that the prediction holds at all
     kernel       scale of the Cauchy kernel, standard deviations; a large one for a normal distribution
     inertia      where the pose must be as well, roughly: a robot changes its velocity gradually; None if not known
+    search_sigmas  (2,) metres and radians: SEARCH_DEVIATIONS times these are searched around it; None for its own
     """
 
     pose: se2.Pose
@@ -90,6 +91,7 @@ class Prediction:
     cost: float = 0.0
     kernel: float = KERNEL
     inertia: Prediction | None = None
+    search_sigmas: Floats | None = None
 
     @property
     def least_cost(self) -> float:
@@ -173,9 +175,12 @@ def match_points(
 
 def _search_around(field: DistanceField, points: Floats, share: float, prediction: Prediction) -> se2.Pose:
     """Return the pose with the lowest cost within the uncertainty of a prediction."""
-    covariance = inverse(prediction.information)
-    shift = min(MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS * math.sqrt(covariance[:2, :2].diagonal().max()))
-    turn = min(MAX_SEARCH_TURN, SEARCH_DEVIATIONS * math.sqrt(covariance[2, 2]))
+    if prediction.search_sigmas is None:
+        covariance = inverse(prediction.information)
+        sigma, turn_sigma = math.sqrt(covariance[:2, :2].diagonal().max()), math.sqrt(covariance[2, 2])
+    else:
+        sigma, turn_sigma = prediction.search_sigmas.tolist()
+    shift, turn = min(MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS * sigma), min(MAX_SEARCH_TURN, SEARCH_DEVIATIONS * turn_sigma)
     return np.asarray(
         search_grid(
             field.arrays, points, share,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drivers import se2
 from drivers.messages import Odometry
 from drivers.recordings.ros_messages import DIAGNOSTICS, TRANSFORMS
 from drivers.ros2.encoder import (
@@ -69,6 +70,7 @@ class _RunState:
 
     extrapolator     extrapolates the pose of the last scan
     transform_stamp  stamp of the last odometry reading with a transform, `status_stamp` that of the last status
+    pose             of the base in the map at the last scan; None before the first
     counts           sizes of map and graph
     closures         keyframe at which each loop was closed -> keyframe that saw the place before
     """
@@ -77,6 +79,7 @@ class _RunState:
     transform_stamp: float = float("-inf")
     status_stamp: float = float("-inf")
     status: LocalisationStatus = LocalisationStatus.OK
+    pose: se2.Pose | None = None
     counts: dict[str, str] = field(default_factory=dict)
     closures: dict[int, int] = field(default_factory=dict)
     notice: str = ""
@@ -131,6 +134,11 @@ class NodeOutputs:
         return None if self._grid is None else self._grid.current()
 
     @property
+    def pose(self) -> se2.Pose | None:
+        """Pose of the base in the map at the last scan of the present run or of the last one; None while it is lost."""
+        return None if self._run.status is LocalisationStatus.LOST else self._run.pose
+
+    @property
     def _lidars(self) -> Floats:
         """Positions (k, 2) of the lidars on the base."""
         return np.array([*self.lidars.values()])
@@ -142,6 +150,7 @@ class NodeOutputs:
             self._run.extrapolator.handle(event)
         match event:
             case ScanTracked():
+                self._run.pose = event.pose
                 self._finish_scan(event)
             case KeyframeAdded():
                 self._run.counts = {name: str(count) for name, count in event.counts.items()}

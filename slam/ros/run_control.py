@@ -32,7 +32,14 @@ class Restart:
     pose: se2.Pose | None = None
 
 
-Request: TypeAlias = Save | Restart
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Only localise in the map, which stays as it is (`frozen`), or extend it."""
+
+    frozen: bool
+
+
+Request: TypeAlias = Save | Restart | SetMode
 
 
 class RestartRequestedError(Exception):

@@ -18,7 +18,7 @@ from drivers.ros2.services import decode_request, encode_response
 from ..io.exports import Occupancy, write_pgm, write_pgm_yaml
 from ..io.unfinished_file import unfinished_file
 from .outputs import message_grid
-from .run_control import Restart, RunControl, Save
+from .run_control import Restart, RunControl, Save, SetMode
 
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
@@ -65,6 +65,7 @@ class NodeServices:
             ("deserialize_map", services.DESERIALIZE_MAP, self._deserialize),
             ("pause_new_measurements", services.PAUSE, self._pause),
             ("reset", services.RESET, self._reset),
+            ("set_localization_mode", services.SET_BOOL, self._set_mode),
         ):
             try:
                 link.serve(names.resolve(f"slam_toolbox/{name}"), srvtype, self._answer(srvtype, call))
@@ -120,6 +121,16 @@ class NodeServices:
         self._receiver.paused = not self._receiver.paused
         self._report(f"new measurements are {'paused' if self._receiver.paused else 'used again'}")
         return {"status": self._receiver.paused}
+
+    def _set_mode(self, request: Any) -> dict[str, Any]:
+        """Only localise if `data` is true, else map."""
+        frozen = bool(request.data)
+        succeeded = self._control.request(SetMode(frozen))
+        done = f"the map {'is only localised in' if frozen else 'is extended'} from now on"
+        return {
+            "success": succeeded,
+            "message": done if succeeded else "not possible: there is no map that can be extended",
+        }
 
     def _reset(self, request: Any) -> dict[str, Any]:
         self._receiver.paused = bool(request.pause_new_measurements)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gzip
 import io
 import json
@@ -106,11 +107,11 @@ def _change_value(tree: Any, source: Random) -> None:
             case 0:
                 del place[key]
             case 1 if isinstance(place, list):
-                place.insert(key, inner)
+                place.insert(key, copy.deepcopy(inner))  # a later change would change both, or put one into itself
             case 2 if type(inner) in (int, float):
                 place[key] = source.choice((*NUMBERS, *FLOATS, inner + 1, -inner))
             case _:
-                place[key] = source.choice(VALUES)
+                place[key] = copy.deepcopy(source.choice(VALUES))
         return
 
 

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 import drivers
 from drivers import se2
 from slam import Slam
-from slam.config import Config, config_to_toml
+from slam.config import Config, OdometryConfig, config_to_toml
 from slam.evaluation.metrics import read_relations, score_reference, score_relations
 from slam.events import Finished
 from slam.io.exports import OccupancyGrid, Thresholds, place_scans, write_pgm, write_pgm_yaml
@@ -67,6 +67,19 @@ def test_the_second_look(name: str, translation: float, rotation: float) -> None
     assert figures["missing"] == 0
     assert figures["trans_mean"] <= translation
     assert figures["rot_mean"] <= rotation
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "median"), [("intel-full", 0.013), ("fr079", 0.027), ("csail", 0.022)])
+def test_without_odometry_as_accurate_as_with_it(name: str, median: float) -> None:
+    """The medians are those with odometry; scans without their odometry may have an error 1.3 times as large."""
+    slam = Slam(Config(odometry=OdometryConfig(source="none")))
+    for message in drivers.open(recording_folder(name, "clf", "relations") / f"{name}.clf"):
+        slam.add(message)
+    figures = scored(name, slam.finish())
+    assert figures["missing"] == 0
+    assert figures["trans_median"] <= 1.3 * median
+    assert figures["trans_max"] < 1.0
 
 
 def scored(name: str, finished: Finished) -> dict[str, float]:

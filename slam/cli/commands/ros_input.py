@@ -10,7 +10,7 @@ from drivers.messages import Odometry, Scan, SourceReport
 from drivers.ros2.receiver import MAX_WAITING_SCANS
 
 from ...preprocessing.deskew import lidar_mount
-from ...ros.run_control import Restart, RestartRequestedError, Save
+from ...ros.run_control import Restart, RestartRequestedError, Save, SetMode
 from ..acquisition_loop import receive_messages, stop_on_signals
 from ..console import print_message
 from ..slam_run import shift_after
@@ -33,7 +33,7 @@ class DiscardedError(Exception):
 
 
 class _SaveRequestedError(Exception):
-    """The run ends here, to be saved and continued."""
+    """The run ends here, to be continued."""
 
 
 class RosInput:
@@ -42,7 +42,7 @@ class RosInput:
     start     settings, and the session that the run continues, if any
     duration  seconds; None: until a signal arrives
     keep      false: the run is discarded at its end, by DiscardedError
-    control   requests that end the run: a restart by RestartRequestedError, saving normally
+    control   requests that end the run: those for another map by RestartRequestedError, the others normally
     """
 
     finite = False
@@ -64,6 +64,7 @@ class RosInput:
         self._receiver = receiver
         self._outputs, self._start = outputs, start
         self._duration, self._keep, self._control = duration, keep, control
+        self._has_session = start.resumed is not None and bool(start.resumed.scans)  # and not a plan
         self._missing: list[str] = []
         self._idle: Callable[[], None] = lambda: None
 
@@ -133,6 +134,14 @@ class RosInput:
                 raise _SaveRequestedError
             print_message("serialize_map: the map is only localised in and does not change; nothing is written")
             self._control.answer(False)
+        if isinstance(self._control.pending, SetMode):
+            if self._control.pending.frozen and not self._start.frozen:
+                raise _SaveRequestedError
+            if self._start.frozen and not self._control.pending.frozen:
+                if self._has_session:
+                    raise RestartRequestedError
+                print_message("set_localization_mode: a plan cannot be extended; --plan maps with it")
+            self._control.answer(self._start.frozen == self._control.pending.frozen)
         missing = self._receiver.missing()
         if missing != self._missing:
             news = [line for line in missing if line not in self._missing]

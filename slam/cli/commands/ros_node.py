@@ -13,7 +13,7 @@ from drivers.errors import SlamError
 from ...errors import MapError
 from ...io.output_dir import OutputDirectory
 from ...io.sessions import read_session
-from ...ros.run_control import Restart, RestartRequestedError, RunControl, Save
+from ...ros.run_control import Restart, RestartRequestedError, RunControl, Save, SetMode
 from ..console import print_message
 from ..run_setup import RunSetup
 from ..run_summary import format_summary
@@ -24,6 +24,7 @@ from .ros_input import DiscardedError, RosInput
 if TYPE_CHECKING:
     from drivers.ros2.receiver import RosReceiver
 
+    from ...io.sessions import StoredSession
     from ...ros.outputs import NodeOutputs
 
 
@@ -43,24 +44,33 @@ class RosNode:
         Raises SlamError.
         """
         with tempfile.TemporaryDirectory(prefix="wclm-ros-") as folder:
-            target, shown = out or Path(folder) / "map", review and out is not None
+            target, shown, mapped = out or Path(folder) / "map", review and out is not None, list[str]()
             while True:
+                # While the robot only localises in a map that the node has made, that stays the result.
+                place, keep = (Path(folder) / "localised", False) if mapped else (target, out is not None)
+                unchanged = start.resumed.copy() if start.frozen and start.resumed is not None else None
                 try:
-                    lines = self._run_once(start, target, out is not None, overwrite, shown, duration)
+                    lines = self._run_once(start, place, keep, overwrite, shown and not mapped, duration)
                 except DiscardedError:
+                    if mapped and out is not None:
+                        return mapped
                     return ["stopped; nothing was written, as there is no --out"]
                 except RestartRequestedError:
-                    start = self._restarted(start)
+                    start, mapped = self._restarted(start, unchanged), []
+                    overwrite = overwrite or target.exists()
                     continue
                 except MapError as error:
-                    if not isinstance(self.control.pending, Save):
+                    if not isinstance(self.control.pending, Save | SetMode):
                         raise
-                    print_message(f"serialize_map: {error}")
+                    print_message(f"the map is not finished: {error}")
                     self.control.answer(False)
                     continue
-                if not isinstance(self.control.pending, Save):
+                if isinstance(self.control.pending, SetMode):
+                    start, overwrite, mapped = self._localising(start, target), True, lines
+                elif isinstance(self.control.pending, Save):
+                    start, overwrite = self._saved(start, target), True
+                else:
                     return lines
-                start, overwrite = self._saved(start, target), True
 
     def _run_once(
         self, start: RunSetup, target: Path, keep: bool, overwrite: bool, review: bool, duration: float | None
@@ -77,15 +87,28 @@ class RosNode:
         result = run_slam(run_input, start, target, overwrite=overwrite, review=review, picture=False)
         return format_summary(result, target)
 
-    def _restarted(self, start: RunSetup) -> RunSetup:
-        """Return the setup of the run that was requested."""
+    def _restarted(self, start: RunSetup, unchanged: StoredSession | None) -> RunSetup:
+        """Return the setup of the run that was requested.
+
+        unchanged  session that the run has localised in; None if it has mapped
+        """
         request = self.control.pending
-        assert isinstance(request, Restart)
         self.receiver.discard()
         self.control.answer(True)
+        if isinstance(request, SetMode):
+            print_message("the map is extended from now on")
+            return replace(start, resumed=unchanged, frozen=False, pose=self.outputs.pose)
+        assert isinstance(request, Restart)
         print_message("the map is discarded; a new run begins")
         plan = start.plan if request.session is None else None  # a map without a session begins as the first one did
         return RunSetup(start.config, request.session, request.frozen, request.pose, plan)
+
+    def _localising(self, start: RunSetup, target: Path) -> RunSetup:
+        """Return the setup of a run that only localises in the finished map, from where the robot is."""
+        following = replace(start, resumed=read_session(target), frozen=True, pose=None, plan=None)
+        self.control.answer(True)
+        print_message("the map is only localised in from now on, and stays as it is")
+        return following
 
     def _saved(self, start: RunSetup, target: Path) -> RunSetup:
         """Copy the finished run to where it was requested; return the setup of the run that continues it."""

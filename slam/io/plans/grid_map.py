@@ -75,6 +75,8 @@ def load_grid_map(path: Path) -> GridMap:
     described = path if path.suffix.lower() in (".yaml", ".yml") else _description_of(path)
     values = _read_description(described)
     picture = described.parent / str(values["image"])
+    if picture.exists() and not picture.is_file():  # a device or a pipe might never end
+        raise MapError(f"{picture}: is not a file")
     pixels = _read_picture(picture)
     resolution, origin = _number(described, values, "resolution"), values["origin"]
     occupied_threshold = _number(described, values, "occupied_thresh", 0.65)

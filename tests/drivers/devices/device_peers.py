@@ -91,9 +91,11 @@ class ScipPeer:
             lines = (b"SERI:H42;" + scip.checksum(b"SERI:H42"),)
         elif line == b"BM":
             self.laser = True
-        elif line.startswith(b"MD") and self.laser:
-            self.measure = scip.MeasureRequest(URG.first, URG.last)
+        elif line.startswith((b"MD", b"ME")) and self.laser:
+            self.measure = scip.MeasureRequest(URG.first, URG.last, intensity=line.startswith(b"ME"))
             self.begun, self.scan = time.monotonic(), 0
+        elif line.startswith(b"NE"):
+            return scip.Reply(line, "0E", (), 0).packet()
         return scip.Reply(line, scip.OK, lines, 0).packet()
 
 

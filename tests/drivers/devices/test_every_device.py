@@ -265,6 +265,23 @@ def test_probing_identifies_the_device(kind: str) -> None:
     assert found.endswith(f"->  {kind}:{path}")
 
 
+def test_a_hokuyo_lidar_reports_intensities_on_request() -> None:
+    with plugged(ScipPeer()) as path:
+        _, messages = run_supervisor(f"scip:{path}?mode=intensity", 3)
+    assert all(isinstance(scan, Scan) and scan.intensities is not None for scan in messages)
+
+
+@pytest.mark.parametrize(
+    ("mode", "problem"),
+    [("last", "has no scan mode 'last'"), ("nearest", "'nearest'; there are: distance, intensity, last, strongest")],
+)
+def test_a_scan_mode_that_a_hokuyo_lidar_does_not_have_is_named(mode: str, problem: str) -> None:
+    with plugged(ScipPeer()) as path:
+        supervisor, messages = run_supervisor(f"scip:{path}?mode={mode}", until=lambda one, _: one.failure is not None)
+    assert not messages
+    assert problem in str(supervisor.failure)
+
+
 def test_a_byte_capture_replays_the_device(tmp_path: Path) -> None:
     """The byte capture of a device with requests, replayed behind a terminal."""
     capture = tmp_path / "scip.tape"

@@ -10,7 +10,7 @@ import pytest
 from drivers.emulator.ld06 import LD06_VARIANTS
 from drivers.emulator.rplidar_scan import BURST_DURATION
 from drivers.emulator.rplidar_variants import RPLIDAR_VARIANTS
-from drivers.emulator.scip import URG
+from drivers.emulator.scip import INTENSITY, URG, UTM
 from drivers.lidars import ld06, scip, scip_scan
 from drivers.lidars.measurements import Decoder, Measurements
 from drivers.lidars.revolutions import RevolutionAssembler
@@ -142,6 +142,36 @@ def test_scip_turns_counter_clockwise_and_sends_its_clock(bench: MakeBench) -> N
     # The device's clock is fast by 0.2 %, so its revolutions are shorter.
     assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(0.1 / 1.002, rel=2e-3)
     assert np.diff(measurements.packets["device_time"]) == pytest.approx(0.1, abs=1.1e-3)
+
+
+@pytest.mark.parametrize("echoes", [False, True])
+def test_a_utm_reports_intensities_and_echoes(bench: MakeBench, echoes: bool) -> None:
+    robot = bench(lidar="scip-utm")
+    host = robot.open("lidar")
+    request = scip.MeasureRequest(UTM.first, UTM.last, intensity=True, echoes=echoes)
+    host.port.write(scip.LASER_ON + request.packet())
+    robot.go(0.5)
+    measurements, stamps = measured(host, scip_scan.ScipDecoder(UTM, request))
+    scans = scans_of(measurements, stamps, whole=True)
+    assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(0.025, rel=2e-3)
+    for scan in scans:
+        assert scan.intensities is not None
+        seen = ~np.isnan(scan.ranges)
+        assert np.count_nonzero(seen) > 0.9 * len(seen)
+        # The intensity is that of the first echo: of the last one where there is no other.
+        agrees = np.abs(scan.intensities * scan.ranges / INTENSITY - 1.0)[seen] < 2e-3
+        assert (np.count_nonzero(~agrees) > 0) == echoes
+        assert np.count_nonzero(agrees) > 0.9 * np.count_nonzero(seen)
+
+
+def test_a_urg_has_neither_intensities_nor_echoes(bench: MakeBench) -> None:
+    robot = bench(lidar="scip")
+    host, replies = robot.open("lidar"), scip.ReplyParser()
+    for options in ({"intensity": True}, {"echoes": True}):
+        host.forget()
+        host.port.write(scip.MeasureRequest(URG.first, URG.last, **options).packet())
+        robot.go(0.35)
+        assert [reply.status for reply in replies.feed(host.data)] == ["0E"]
 
 
 def test_a_device_clock_drifts(bench: MakeBench) -> None:

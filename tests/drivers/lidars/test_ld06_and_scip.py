@@ -194,3 +194,57 @@ class TestScipScan:
         assert not len(decoder.feed(scip_scan.encode(np.ones(681), other, 5)))
         assert decoder.counters.bytes_skipped > 2000
         assert len(decoder.feed(scip_scan.encode(np.ones(682), mine, 5))) == 682
+
+    @QUICK
+    @given(
+        ranges=arrays(np.float64, 20, elements=st.integers(20, 5000).map(lambda mm: mm / 1000)),
+        farther=arrays(np.float64, 20, elements=st.integers(1, 600).map(lambda mm: mm / 1000) | st.just(np.nan)),
+        intensities=arrays(np.float64, 20, elements=st.integers(0, (1 << 15) - 1)),
+        continuous=st.booleans(),
+    )
+    def test_the_last_echo_and_its_intensity_are_decoded(
+        self, ranges: np.ndarray, farther: np.ndarray, intensities: np.ndarray, continuous: bool
+    ) -> None:
+        measure = scip.MeasureRequest(100, 119, continuous=continuous, intensity=True, echoes=True)
+        behind = ranges + farther
+        data = scip_scan.encode(ranges, measure, 7, intensities=intensities, behind=behind)
+        samples = scip_scan.ScipDecoder(URG, measure).feed(data).samples
+        np.testing.assert_allclose(samples["range"], np.where(np.isnan(behind), ranges, behind), atol=5e-4)
+        np.testing.assert_array_equal(samples["quality"], intensities)
+
+    def test_known_echoes_are_decoded(self) -> None:
+        """Three steps with two, three and one echo: ranges and intensities as in SCIP 2.2, six characters each."""
+        measure = scip.MeasureRequest(100, 102, intensity=True, echoes=True)
+        steps = [[(1000, 5), (3000, 90)], [(1500, 70), (2500, 8), (4, 900)], [(2000, 30)]]
+        text = b"".join(b"&".join(scip.encode_values(np.array(echo), 3) for echo in echoes) for echoes in steps)
+        clock = scip.encode_values(np.array([1000]), 4)
+        lines = b"".join(line + scip.checksum(line) + b"\n" for line in (clock, text))
+        data = b"NE0100010201000\n99b\n" + lines + b"\n"
+        assert measure.packet() == b"NE0100010201000\n"
+        for strongest, ranges, intensities in (
+            (False, [3.0, 2.5, 2.0], [90, 8, 30]),
+            (True, [3.0, 1.5, 2.0], [90, 70, 30]),
+        ):
+            samples = scip_scan.ScipDecoder(URG, measure, strongest=strongest).feed(data).samples
+            assert samples["range"].tolist() == ranges  # an error code is no echo
+            assert samples["quality"].tolist() == intensities
+
+    def test_a_damaged_line_of_echoes_loses_the_scan(self) -> None:
+        measure = scip.MeasureRequest(44, 725, echoes=True)
+        intact = scip_scan.encode(np.full(682, 3.0), measure, 5, behind=np.full(682, 4.0))
+        data = bytearray(intact)
+        data[data.index(b"\n", 60) + 10] ^= 1
+        decoder = scip_scan.ScipDecoder(URG, measure)
+        assert not len(decoder.feed(bytes(data)))
+        assert decoder.counters.checksum_failures == 1
+        assert (decoder.feed(intact).samples["range"] == 4.0).all()
+
+    @QUICK
+    @given(st.lists(st.binary(max_size=70).map(lambda line: line.replace(b"\n", b"")), max_size=5))
+    def test_any_lines_are_echoes_or_rejected(self, texts: list[bytes]) -> None:
+        measure = scip.MeasureRequest(100, 102, intensity=True, echoes=True)
+        clock = scip.encode_values(np.array([1000]), 4)
+        lines = [clock, *(text for text in texts if text)]
+        reply = scip.Reply(b"NE010001020100", "99", tuple(line + scip.checksum(line) for line in lines), 0)
+        decoder = scip_scan.ScipDecoder(URG, measure)
+        assert len(decoder.feed(reply.packet())) in (0, 3)

@@ -24,6 +24,7 @@ from slam.matching.offset_tiles import FIELD_CELL
 from slam.matching.point_matcher import Prediction, match_points
 from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.predicted_motion import PredictedMotionModel
 
 from ..listeners import EventCollector
 from ..outlines import noisy_field, outline, scan_points, visible, with_noise
@@ -139,6 +140,26 @@ def test_odometry_that_stands_still_for_two_seconds_is_corrected(begin: float, m
     assert errors[-10:, 1].max() < 0.005
 
 
+@pytest.mark.parametrize("jump", [[0.9, 0.0, 0.0], [0.0, -0.8, 0.3], [-1.0, 0.4, -0.5]])
+def test_the_path_does_not_follow_a_jump_of_odometry(jump: list[float]) -> None:
+    """Not even at the first scan after the jump, whose pose the next scan confirms."""
+    slam, truth = Slam(), {}
+    for message in Simulation(world="office", seed=1, duration=10.0, lidar=LidarModel(beams=360)):
+        if isinstance(message, GroundTruth):
+            truth[message.stamp] = message.pose
+        if isinstance(message, Odometry) and message.stamp - min(truth) > 7.0:
+            message = replace(message, pose=se2.compose(np.array(jump), message.pose))
+        slam.add(message)
+    scans, _ = slam.slam_state.trajectory.at_scans(slam.slam_state.mapper.keyframe_poses)
+    result = slam.finish()
+    stamps, true = np.array(list(truth)), np.array(list(truth.values()))
+    at_scans = np.isin(result.stamps, scans)
+    assert np.diff(scans).max() < 0.15  # none is missing
+    errors = se2.between(true[0], true)
+    expected = np.column_stack([np.interp(result.stamps[at_scans], stamps, errors[:, k]) for k in range(2)])
+    assert np.hypot(*(result.poses[at_scans, :2] - expected).T).max() < 0.05
+
+
 def test_the_path_goes_on_evenly_while_odometry_counts_backwards() -> None:
     """The scans predict each other although they are few, and the robot is never lost."""
     result, errors, _ = drive(ReversedOdometry(10.0, 20.0))
@@ -173,9 +194,27 @@ def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
     assert np.all(np.abs(se2.between(stands, poses[-1])) < [0.05, 0.05, 0.03])
 
 
-def seen_from(pose: Floats) -> ScanFeatures:
-    """Return a scan of the room without lines."""
-    points = with_noise(visible(ROOM, pose), np.random.default_rng(1))
+def test_a_sudden_turn_in_a_round_room_is_found_without_odometry() -> None:
+    """A scan of the round wall fits at all headings, and only the two boxes in the room show that it has turned."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
+    wall = outline([(3.0 * np.cos(angle), 3.0 * np.sin(angle)) for angle in angles])
+    boxes = [outline([(x, y), (x + 0.4, y), (x + 0.4, y + 0.4), (x, y + 0.4)]) for x, y in [(1.8, 0.5), (-0.6, -2.0)]]
+    room = np.concatenate([wall, *boxes])
+    target = MatchTarget(empty_local_map(), noisy_field(room, np.zeros(3)), 0.0)
+    for turn in (-0.6, -0.4, 0.4, 0.6):
+        tracker, odometry = Tracker(PredictedMotionModel(OdometryConfig(source="none"))), np.zeros(3)
+        pose = np.zeros(3)
+        tracker.move_to(pose, odometry)
+        for k in range(20):  # standing still, until the motion is predicted to be none
+            result = tracker.track(0.25 * k, odometry, seen_from(pose, room), target)
+        pose = np.array([0.05, 0.0, turn])
+        result = tracker.track(0.25 * 20, odometry, seen_from(pose, room), target)
+        assert np.all(np.abs(se2.between(pose, result.pose)) < [0.03, 0.03, 0.02])
+
+
+def seen_from(pose: Floats, room: Floats = ROOM) -> ScanFeatures:
+    """Return a scan of a room without lines."""
+    points = with_noise(visible(room, pose), np.random.default_rng(1))
     segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
     corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
     return ScanFeatures(segments, corners, ScanPoints(points, points))

@@ -39,6 +39,7 @@ from drivers.ros2.receiver import RosReceiver
 from drivers.simulation import load_world
 from slam.cli.app import app
 from slam.io.output_dir import KEYFRAMES, MAP, SUMMARY, TRAJECTORY
+from slam.io.sessions import read_session
 from slam.io.tum import read_tum
 
 from ...memory_link import MemoryLink
@@ -243,6 +244,40 @@ def test_a_run_is_saved_continued_discarded_and_begun_in_a_map(node_run: NodeRun
     scans = [item for item in robot if item.topic == "/scan"]
     last = read_tum(tmp_path / "end" / TRAJECTORY)
     assert last.stamps[0] > scans[19].arrival - 1.0
+
+
+def test_the_mode_changes_while_the_node_runs(node_run: NodeRun, tmp_path: Path) -> None:
+    link, out, results, walls = MemoryLink(), tmp_path / "out", [], []
+
+    def set_mode(*, frozen: bool) -> None:
+        results.append(link.call("/slam_toolbox/set_localization_mode", data=frozen).success)
+        walls.append(json.loads((out / SUMMARY).read_text())["walls"])
+
+    calls = {
+        20: lambda: set_mode(frozen=True),
+        30: lambda: set_mode(frozen=True),
+        40: lambda: set_mode(frozen=False),
+    }
+    output = run_node(link, node_run.robot, out, calls, patience=0.05)
+    assert results == [True, True, True]
+    assert walls[0] == walls[1] == walls[2]
+    assert output.count("the map is only localised in from now on") == 1
+    assert output.count("the map is extended from now on") == 1
+    path, whole = read_tum(out / TRAJECTORY), read_tum(node_run.online / TRAJECTORY)
+    gap = path.stamps[np.argmax(np.diff(path.stamps))]
+    assert START + 2.0 < gap < START + 5.0  # without what was only localised
+    assert path.stamps[-1] > START + 8.0
+    at_end = whole.poses[np.argmin(np.abs(whole.stamps - path.stamps[-1]))]
+    assert path.poses[-1] == pytest.approx(at_end, abs=0.02)
+
+
+def test_a_map_that_is_only_localised_in_remains_the_result(node_run: NodeRun, tmp_path: Path) -> None:
+    link, out = MemoryLink(), tmp_path / "out"
+    robot = [item for item in node_run.robot if item.arrival < START + 6.0]
+    calls = {15: lambda: link.call("/slam_toolbox/set_localization_mode", data=True)}
+    run_node(link, robot, out, calls, patience=0.05)
+    assert read_tum(out / TRAJECTORY).stamps[-1] < START + 4.0
+    assert read_session(out).slam_state.mapper.keyframe_count
 
 
 def test_poses_are_published_with_odometry_and_their_covariance(node_run: NodeRun) -> None:
