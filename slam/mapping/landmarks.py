@@ -94,10 +94,10 @@ class Landmarks:
         Extends the wall to the ends of the segment.
         """
         row = self.walls.rows[wall]
-        along = se2.between(row["frame"], frame)[0]
-        row["low"] = min(row["low"], along - half_length)
-        row["high"] = max(row["high"], along + half_length)
-        cells = cells_between(along - half_length, along + half_length)
+        along = float(se2.between(row["frame"], frame)[0])
+        low, high = along - half_length, along + half_length
+        row["low"], row["high"] = min(row["low"], low), max(row["high"], high)
+        cells = cells_between(low, high)
         if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
             cells = still_covered(cells, self.opened[wall], keyframe)
         self.covered[wall] |= cells
