@@ -25,8 +25,9 @@ def main() -> None:
     if error := find_import_error():
         print_message(error)
         sys.exit(EXIT_USER_ERROR)
-    from .app import app
+    from .app import app, leave_out_others
 
+    leave_out_others(sys.argv[1:])
     exit_on_signals()
     app(prog_name="wclm")
 

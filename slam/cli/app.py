@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Annotated, Any
 
 import typer
@@ -136,3 +136,15 @@ for panel, commands in COMMANDS.items():
     for name, function in commands.items():
         add_command(app, name, function, panel)
 app.add_typer(bench, name="bench", rich_help_panel="Evaluation")
+
+
+def leave_out_others(arguments: Sequence[str]) -> None:
+    """Leave out all commands but the one that is called: to set up the parameters of all takes longer than to parse.
+
+    All are kept if the first of the `arguments` is not the name of a command, for the help and for suggestions.
+    """
+    called = arguments[0] if arguments else None
+    commands = [command for command in app.registered_commands if command.name == called]
+    groups = [group for group in app.registered_groups if group.name == called]
+    if commands or groups:
+        app.registered_commands, app.registered_groups = commands, groups

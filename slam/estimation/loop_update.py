@@ -93,7 +93,7 @@ def _fits_elsewhere(state: SlamState, old: int) -> bool:
     poses, last = state.mapper.keyframe_poses, state.mapper.keyframe_count - 1
     around, points = state.local_field.missing_around(old, state.mapper.travelled), state.local_field.points(last)
     field = DistanceField.empty(poses[last])
-    field.insert_scans(poses[around], [state.local_field.points(keyframe) for keyframe in around.tolist()])
+    field.insert_scans(poses[around], state.local_field.points_of(around))
     possible = Prediction(poses[last], np.diag(LINK_SIGMAS**-2.0))
     match = match_points(field, points, [possible], exhaustive=True)[0]
     if match.known < MIN_KNOWN_POINTS or match.poor:

@@ -89,7 +89,7 @@ class LocalField:
         self.field, self._linked = DistanceField.empty(state.centre), not state.inserted
         self._links, self._gaps = list(state.links), dict(state.gaps)
         self._inserted, self._inserted_poses = np.array(state.inserted, dtype=np.int64), state.inserted_poses
-        self.field.insert_scans(self._inserted_poses, [self.points(keyframe) for keyframe in self._inserted])
+        self.field.insert_scans(self._inserted_poses, self.points_of(self._inserted))
 
     @property
     def inserted(self) -> Integers:
@@ -99,6 +99,10 @@ class LocalField:
     def points(self, keyframe: int) -> Floats:
         """Return the points (p, 4) of a keyframe with their normals, in its frame."""
         return self._points[keyframe].astype(np.float64)
+
+    def points_of(self, keyframes: Integers) -> list[NDArray[np.float32]]:
+        """Return the points (p, 4) of each of some keyframes with their normals, in its frame, as they are stored."""
+        return [self._points[keyframe] for keyframe in keyframes.tolist()]
 
     def add(self, scan: ScanFeatures, undetermined: float = 0.0) -> None:
         """Add the points of the next keyframe. They enter the field with `update`.
@@ -171,14 +175,14 @@ class LocalField:
         moved = _largest_shift(poses, self._inserted, self._inserted_poses)
         left = self.field.centre_distance(poses[keyframe]) > MAX_CENTRE_DISTANCE
         if moved > MAX_DISPLACEMENT or left or self._outdated:
-            self.field, self._inserted, self._linked = DistanceField.empty(poses[keyframe]), self._inserted[:0], True
+            self.field, self._inserted, self._linked = self.field.cleared(poses[keyframe]), self._inserted[:0], True
             self._outdated = False
         if self._linked:
             near, self._linked = self._near(keyframe, travelled), False
             new = near[~np.isin(near, self._inserted)]
         else:
             new = np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
-        self.field.insert_scans(poses[new], [self.points(k) for k in new])
+        self.field.insert_scans(poses[new], self.points_of(new))
         before = self._inserted_poses[: len(self._inserted)]
         self._inserted = np.concatenate([self._inserted, new])
         self._inserted_poses = np.concatenate([before, poses[new]])

@@ -265,7 +265,7 @@ def _is_minor(covariance: Floats) -> bool:
 
 def _build(place: OldPlace, local_field: LocalField) -> Submap:
     """Build the submap of a place."""
-    return build_submap(place.poses, [local_field.points(int(k)) for k in place.keyframes], SUBMAP_HALF_WIDTH)
+    return build_submap(place.poses, local_field.points_of(place.keyframes), SUBMAP_HALF_WIDTH)
 
 
 def _position_sigmas(covariances: Floats) -> Floats:

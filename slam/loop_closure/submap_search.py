@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
@@ -83,16 +84,16 @@ class SubmapMatch:
         return self.known * self.quality
 
 
-def build_submap(poses: Floats, points: Sequence[Floats], half_width: float) -> Submap:
+def build_submap(poses: Floats, points: Sequence[NDArray[np.floating]], half_width: float) -> Submap:
     """Build a submap from keyframes at `poses` (k, 3) in its frame, each with points (p, 4) in its own."""
     field = DistanceField.empty(np.zeros(2), half_width)
     field.insert_scans(poses, points)
     return Submap(_moved(poses, points), field)
 
 
-def _moved(poses: Floats, scans: Sequence[Floats]) -> Floats:
+def _moved(poses: Floats, scans: Sequence[NDArray[np.floating]]) -> Floats:
     """Return the points (p, 4) with normals of scans in the frames of their poses (k, 3), as one array (n, 4)."""
-    lengths, points = [len(scan) for scan in scans], np.concatenate(scans)
+    lengths, points = [len(scan) for scan in scans], np.concatenate(scans, dtype=np.float64)
     c, s = (np.repeat([f(heading) for heading in poses[:, 2].tolist()], lengths) for f in (math.cos, math.sin))
     x, y, normal_x, normal_y = points.T
     result = np.empty_like(points)

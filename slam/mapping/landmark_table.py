@@ -66,14 +66,6 @@ class LandmarkTable:
         """The rows in use, as a view of the table."""
         return self._storage[: self._count]
 
-    def column(self, name: str) -> NDArray[Any]:
-        """Return a contiguous copy of a column for a compiled function.
-
-        The function would be compiled for strided columns, and again for those of a table of one row, which numpy
-        calls contiguous.
-        """
-        return self.rows[name].copy()
-
     def replace_rows(self, rows: NDArray[np.void]) -> None:
         """Replace all rows."""
         self._storage, self._count = np.zeros(max(_INITIAL_CAPACITY, len(rows)), rows.dtype), len(rows)

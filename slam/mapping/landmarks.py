@@ -94,10 +94,10 @@ class Landmarks:
         Extends the wall to the ends of the segment.
         """
         row = self.walls.rows[wall]
-        along = se2.between(row["frame"], frame)[0]
-        row["low"] = min(row["low"], along - half_length)
-        row["high"] = max(row["high"], along + half_length)
-        cells = cells_between(along - half_length, along + half_length)
+        along = float(se2.between(row["frame"], frame)[0])
+        low, high = along - half_length, along + half_length
+        row["low"], row["high"] = min(row["low"], low), max(row["high"], high)
+        cells = cells_between(low, high)
         if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
             cells = still_covered(cells, self.opened[wall], keyframe)
         self.covered[wall] |= cells
@@ -258,21 +258,15 @@ class Landmarks:
         With `keyframe`, walls that were removed at that keyframe or later count as active. Only walls that are
         connected with it, see `connected`.
         """
-        column = self.walls.column
-        near = near_walls(
-            column("frame"), column("low"), column("high"), column("merged_into"), column("removed_at"),
-            pose[0], pose[1], radius, NO_KEYFRAME if keyframe is None else keyframe,
-        )  # fmt: skip
-        return self._connected(near, self.walls.rows["last_seen"], keyframe)
+        walls = self.walls.rows
+        near = near_walls(walls, pose[0], pose[1], radius, NO_KEYFRAME if keyframe is None else keyframe)
+        return self._connected(near, walls["last_seen"], keyframe)
 
     def corners_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
         """Return the ids of the active corners within `radius` metres of a pose; `keyframe` as for walls."""
-        column, of_walls = self.corners.column, self.walls.column
-        near = near_corners(
-            column("position"), column("walls"), of_walls("merged_into"), of_walls("removed_at"),
-            pose[0], pose[1], radius, NO_KEYFRAME if keyframe is None else keyframe,
-        )  # fmt: skip
-        return self._connected(near, self.corners.rows["last_seen"], keyframe)
+        corners, walls = self.corners.rows, self.walls.rows
+        near = near_corners(corners, walls, pose[0], pose[1], radius, NO_KEYFRAME if keyframe is None else keyframe)
+        return self._connected(near, corners["last_seen"], keyframe)
 
     def _connected(self, near: Integers, last_seen: Integers, keyframe: int | None) -> Integers:
         """Return those of some landmarks that are connected with a keyframe; see `connected`."""

@@ -1,6 +1,6 @@
 """Landmarks within some distance of a position, in compiled code: they are selected several times at each keyframe.
 
-Both functions take columns of the tables of walls and corners (`LandmarkTable.column`).
+Both functions take the tables of walls and corners themselves, as columns would be copied at each call.
 """
 
 from __future__ import annotations
@@ -23,18 +23,19 @@ NO_KEYFRAME = np.iinfo(np.int64).max
 
 
 @compiled
-def near_walls(frame, low, high, merged_into, removed_at, x, y, radius, keyframe):  # type: ignore[no-untyped-def]
+def near_walls(walls, x, y, radius, keyframe):  # type: ignore[no-untyped-def]
     """Return the rows of the active walls with a part near (x, y) on their visible side, in ascending order."""
-    near, count = np.empty(len(frame), np.int64), 0
-    for j in range(len(frame)):
-        if merged_into[j] != j or _is_gone(removed_at[j], keyframe):
+    near, count = np.empty(len(walls), np.int64), 0
+    for j in range(len(walls)):
+        wall = walls[j]
+        if wall.merged_into != j or _is_gone(wall.removed_at, keyframe):
             continue
-        dx, dy = x - frame[j, 0], y - frame[j, 1]
-        if is_beyond_reach(dx, dy, low[j], high[j], radius):
+        dx, dy, low, high = x - wall.frame[0], y - wall.frame[1], wall.low, wall.high
+        if is_beyond_reach(dx, dy, low, high, radius):
             continue
-        c, s = math.cos(frame[j, 2]), math.sin(frame[j, 2])
+        c, s = math.cos(wall.frame[2]), math.sin(wall.frame[2])
         along, ahead = c * dx + s * dy, c * dy - s * dx  # the pose as seen from the wall's frame
-        beyond = max(0.0, low[j] - along, along - high[j])
+        beyond = max(0.0, low - along, along - high)
         if ahead > -BEHIND_MARGIN and beyond * beyond + ahead * ahead < radius * radius:
             near[count] = j
             count += 1
@@ -42,18 +43,19 @@ def near_walls(frame, low, high, merged_into, removed_at, x, y, radius, keyframe
 
 
 @compiled
-def near_corners(position, walls, merged_into, removed_at, x, y, radius, keyframe):  # type: ignore[no-untyped-def]
+def near_corners(corners, walls, x, y, radius, keyframe):  # type: ignore[no-untyped-def]
     """Return the rows of the active corners within `radius` metres of (x, y), in ascending order."""
-    near, count = np.empty(len(position), np.int64), 0
-    for j in range(len(position)):
-        dx, dy = position[j, 0] - x, position[j, 1] - y
+    near, count = np.empty(len(corners), np.int64), 0
+    for j in range(len(corners)):
+        corner = corners[j]
+        dx, dy = corner.position[0] - x, corner.position[1] - y
         if not dx * dx + dy * dy < radius * radius:  # a dropped corner is at NaN
             continue
         there = True
         for k in range(2):
-            wall = walls[j, k]
-            kept = merged_into[wall] if wall >= 0 else -1
-            there = there and not (kept >= 0 and _is_gone(removed_at[kept], keyframe))
+            wall = corner.walls[k]
+            kept = walls[wall].merged_into if wall >= 0 else -1
+            there = there and not (kept >= 0 and _is_gone(walls[kept].removed_at, keyframe))
         if there:
             near[count] = j
             count += 1

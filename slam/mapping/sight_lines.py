@@ -71,9 +71,7 @@ def walls_in_view(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> Walls
     """
     all_rows = landmarks.walls.rows
     reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
-    # contiguous: the function would be compiled again for strided arrays
-    frames, lows, highs = (np.ascontiguousarray(all_rows[name]) for name in ("frame", "low", "high"))
-    walls = _within_reach(frames, lows, highs, pose, reach).nonzero()[0]
+    walls = _within_reach(all_rows, pose, reach).nonzero()[0]
     rows = all_rows[walls]
     active = landmarks.active(walls) & landmarks.parts.connected(rows["last_seen"])
     walls, rows = walls[active], rows[active]
@@ -84,17 +82,18 @@ def walls_in_view(landmarks: Landmarks, pose: se2.Pose, points: Floats) -> Walls
 
 
 @compiled
-def _within_reach(frames, lows, highs, pose, reach):  # type: ignore[no-untyped-def]
-    """Return (n,) which walls have a part within `reach` metres of a pose."""
-    within = np.zeros(len(frames), dtype=np.bool_)
-    for wall in range(len(frames)):
-        dx, dy = pose[0] - frames[wall, 0], pose[1] - frames[wall, 1]
-        if is_beyond_reach(dx, dy, lows[wall], highs[wall], reach):
+def _within_reach(walls, pose, reach):  # type: ignore[no-untyped-def]
+    """Return (n,) which rows of the table of walls have a part within `reach` metres of a pose."""
+    within = np.zeros(len(walls), dtype=np.bool_)
+    for k in range(len(walls)):
+        frame, low, high = walls[k].frame, walls[k].low, walls[k].high
+        dx, dy = pose[0] - frame[0], pose[1] - frame[1]
+        if is_beyond_reach(dx, dy, low, high, reach):
             continue
-        c, s = math.cos(frames[wall, 2]), math.sin(frames[wall, 2])
+        c, s = math.cos(frame[2]), math.sin(frame[2])
         along, across = c * dx + s * dy, c * dy - s * dx
-        beyond = max(0.0, lows[wall] - along, along - highs[wall])
-        within[wall] = beyond * beyond + across * across < reach * reach
+        beyond = max(0.0, low - along, along - high)
+        within[k] = beyond * beyond + across * across < reach * reach
     return within
 
 

@@ -63,14 +63,17 @@ class UnconfirmedObservations:
         shares = np.zeros(len(segments))
         np.add.at(shares, corners.segments[landmark_ids.corners >= 0], CORNER_SHARE)
         covariances = add_roughness(segments.covariance, segments.half_length, roughness)
-        for i in np.flatnonzero(walls >= 0):
-            self._walls[int(walls[i])].append(
-                (keyframe, segments.frame[i], covariances[i] / (1 - shares[i]), segments.bias_slope[i])
-            )
-        spread, slopes = roughness * np.eye(2), corner_bias_slopes(segments, corners)
-        for i in np.flatnonzero(landmark_ids.corners >= 0):
-            covariance = (corners.covariance[i] + spread) / CORNER_SHARE
-            self._corners[int(landmark_ids.corners[i])].append((keyframe, corners.position[i], covariance, slopes[i]))
+        covariances = covariances / (1 - shares)[:, None, None]
+        for i, wall in enumerate(walls.tolist()):
+            if wall >= 0:
+                self._walls[wall].append((keyframe, segments.frame[i], covariances[i], segments.bias_slope[i]))
+        if not len(corners):
+            return
+        slopes = corner_bias_slopes(segments, corners)
+        covariances = (corners.covariance + roughness * np.eye(2)) / CORNER_SHARE
+        for i, corner in enumerate(landmark_ids.corners.tolist()):
+            if corner >= 0:
+                self._corners[corner].append((keyframe, corners.position[i], covariances[i], slopes[i]))
 
     def move_confirmed(
         self, graph: FactorGraph, landmarks: Landmarks, landmark_ids: LandmarkIds, keyframe: int, pose: se2.Pose

@@ -67,10 +67,17 @@ class DistanceField:
     @classmethod
     def empty(cls, centre: Floats, half_width: float = FIELD_HALF_WIDTH) -> DistanceField:
         """Return a field around `centre` (2,) without points."""
-        origin = np.floor((np.asarray(centre[:2]) - half_width) / SEEN_CELL) * SEEN_CELL
         side = int(2 * half_width / SEEN_CELL)
         offsets, seen = OffsetTiles.empty(ALL_POINTS + 1, SEEN_CELLS * side), np.zeros((side, side), dtype=np.uint8)
-        return cls(origin, offsets, seen, WaitingPoints.empty(side))
+        return cls(_origin(centre, half_width), offsets, seen, WaitingPoints.empty(side))
+
+    def cleared(self, centre: Floats) -> DistanceField:
+        """Return an empty field around `centre` (2,) in the memory of this one, which is not valid any more."""
+        self.offsets.clear()
+        self.seen.fill(0)
+        self.waiting.clear()
+        origin = _origin(centre, 0.5 * len(self.seen) * SEEN_CELL)
+        return DistanceField(origin, self.offsets, self.seen, self.waiting)
 
     def __deepcopy__(self, memo: dict[int, object]) -> DistanceField:
         """Return an independent copy."""
@@ -91,11 +98,11 @@ class DistanceField:
             points = np.column_stack([points, np.zeros_like(points)])
         self.insert_scans(np.asarray(pose, dtype=np.float64)[None], [points])
 
-    def insert_scans(self, poses: Floats, scans: Sequence[Floats]) -> None:
+    def insert_scans(self, poses: Floats, scans: Sequence[NDArray[np.floating]]) -> None:
         """Insert the points (p, 4), with normals, of several scans, one after the other; see `insert`."""
         if not len(scans):
             return
-        points, first, entered = np.concatenate(scans), np.cumsum([0, *map(len, scans)]), 0
+        points, first, entered = np.concatenate(scans, dtype=np.float64), np.cumsum([0, *map(len, scans)]), 0
         while entered < len(points):
             self.offsets.count, entered = _insert(
                 self.arrays, self.waiting.scan_of, self.waiting.scans, self.offsets.count, poses, points, first, entered
@@ -112,6 +119,11 @@ class DistanceField:
     def centre_distance(self, position: Floats) -> float:
         """Return the larger distance (metres) along the axes of a position (2,) from the middle of the field."""
         return float(np.abs(position[:2] - self.centre).max())
+
+
+def _origin(centre: Floats, half_width: float) -> Floats:
+    """Return the corner (2,) of the grids of a field, metres."""
+    return np.asarray(np.floor((np.asarray(centre[:2]) - half_width) / SEEN_CELL) * SEEN_CELL)
 
 
 @compiled

@@ -45,6 +45,11 @@ class WaitingPoints:
         cells = -(-side * SEEN_CELLS // WAITING_CELLS)
         return cls(np.zeros((cells, cells), dtype=np.int32))
 
+    def clear(self) -> None:
+        """Remove all points."""
+        self.scan_of.fill(0)
+        self.scans = 0
+
     def copy(self) -> WaitingPoints:
         """Return an independent copy."""
         return WaitingPoints(self.scan_of.copy(), self.scans)

@@ -68,6 +68,11 @@ class OffsetTiles:
         side = -(-cells // TILE)
         return cls(np.zeros((grids, side, side), dtype=np.int32), _empty_tiles(1), 1)
 
+    def clear(self) -> None:
+        """Remove all points. The memory is kept: to get it again from the system takes longer than to fill it."""
+        self.tile_of.fill(0)
+        self.count = 1
+
     def copy(self) -> OffsetTiles:
         """Return an independent copy."""
         return OffsetTiles(self.tile_of.copy(), self.tiles[: self.count].copy(), self.count)

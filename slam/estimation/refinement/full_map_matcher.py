@@ -156,20 +156,25 @@ class FullMapMatcher:
         tile = (column, row, group, parity)
         field = self._fields.pop(tile, None)
         if field is None:
-            if len(self._fields) == MAX_FIELDS:
-                del self._fields[next(iter(self._fields))]
-            field = self._build_field(TILE * np.array([column, row]), parity, group)
+            centre = TILE * np.array([column, row])
+            field = self._empty_field(centre)
+            self._insert_keyframes(field, centre, parity, group)
         self._fields[tile] = field
         return field
 
-    def _build_field(self, centre: Floats, parity: int, group: int) -> DistanceField:
-        """Build the distance field around `centre` from the keyframes of a group with even (0) or odd (1) indices."""
+    def _empty_field(self, centre: Floats) -> DistanceField:
+        """Return a distance field around `centre` without points: in place of the one used longest ago if there are
+        enough."""
+        if len(self._fields) < MAX_FIELDS:
+            return DistanceField.empty(centre, FIELD_HALF_WIDTH)
+        return self._fields.pop(next(iter(self._fields))).cleared(centre)
+
+    def _insert_keyframes(self, field: DistanceField, centre: Floats, parity: int, group: int) -> None:
+        """Insert the keyframes of a group with even (0) or odd (1) indices around the `centre` of a field."""
         near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < FIELD_RADIUS)
         near = near[(near % 2 == parity) & (self._groups[near] == group)]
         near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
-        field = DistanceField.empty(centre, FIELD_HALF_WIDTH)
         field.insert_scans(self._poses[near], [self._points_of(keyframe) for keyframe in near.tolist()])
-        return field
 
     def _points_of(self, keyframe: int) -> Floats:
         """Return the points (p, 4) of a keyframe with their normals: it is in several fields."""

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slam.cli.app import app, leave_out_others
 from slam.cli.compilation import compile_for_recording
 
 RUN = """
@@ -82,3 +83,17 @@ def test_reports_and_drawings_are_made_without_the_estimator(
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=250)
     assert answer.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kept"),
+    [(["run", "drive.mcap"], {"run"}), (["bench", "slam"], {"bench"}), (["rnu"], None), (["--help"], None), ([], None)],
+)
+def test_only_the_called_command_is_set_up(
+    arguments: list[str], kept: set[str] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(app, "registered_commands", app.registered_commands)  # restored afterwards
+    monkeypatch.setattr(app, "registered_groups", app.registered_groups)
+    names = {entry.name for entry in [*app.registered_commands, *app.registered_groups]}
+    leave_out_others(arguments)
+    assert {entry.name for entry in [*app.registered_commands, *app.registered_groups]} == (kept or names)

@@ -227,3 +227,16 @@ def test_distance_from_the_middle_is_the_larger_one_along_the_axes() -> None:
     field = DistanceField.empty(np.array([3.0, -2.0]), HALF_WIDTH)
     assert field.centre_distance(np.array([3.0, -2.0])) < SEEN_CELL
     assert field.centre_distance(np.array([3.5, 3.0])) == pytest.approx(5.0, abs=SEEN_CELL)
+
+
+def test_a_cleared_field_is_like_a_new_one() -> None:
+    random = np.random.default_rng(0)
+    points, centre = random.uniform(-1.5, 1.5, (2, 500, 2)), np.array([0.7, -0.4])
+    used = DistanceField.empty(np.zeros(2), HALF_WIDTH)
+    used.insert(np.zeros(3), points[0])
+    cleared, new = used.cleared(centre), DistanceField.empty(centre, HALF_WIDTH)
+    for field in (cleared, new):
+        field.insert(np.zeros(3), points[1])
+    np.testing.assert_array_equal(cleared.origin, new.origin)
+    np.testing.assert_array_equal(cleared.seen, new.seen)
+    np.testing.assert_array_equal(offsets_of(cleared), offsets_of(new))
