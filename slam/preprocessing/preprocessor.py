@@ -79,10 +79,8 @@ class Preprocessor:
         return self._second.sigma_range if self.joined_scans or self._second_is_known else None
 
     def add(self, message: Odometry | Scan) -> None:
-        """Add a message. Scans that end before the first odometry are dropped: nothing is known of the motion then."""
+        """Add a message. Scans before the first odometry are dropped once the queue is full."""
         if isinstance(message, Odometry):
-            if not len(self.odometry):
-                self.scans_without_odometry += self._queue.drop_before(message.stamp)
             self.odometry.add(message)
             return
         self._queue.add(message)

@@ -84,14 +84,6 @@ class ScanQueue:
         """Drop the first lidar's oldest scan, and those of the second that are not later."""
         self._drop_second(sweep_middle(self._first.popleft()))
 
-    def drop_before(self, stamp: float) -> int:
-        """Drop the first lidar's scans that end before a stamp, as `drop_oldest`; return how many."""
-        count = 0
-        while self._first and _end(self._first[0]) < stamp:
-            self.drop_oldest()
-            count += 1
-        return count
-
     def take(self, covered: float, *, flush: bool = False) -> ScanPair | None:
         """Remove and return the oldest scan of the first lidar with its partner; None if it has to wait.
 

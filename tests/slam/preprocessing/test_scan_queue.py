@@ -8,10 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from drivers.messages import Odometry, Scan
-from slam.config import Config
+from drivers.messages import Scan
 from slam.preprocessing.deskew import sweep_middle
-from slam.preprocessing.preprocessor import Preprocessor
 from slam.preprocessing.scan_queue import MAX_ABSENCE, MAX_QUEUED_SCANS, ScanPair, ScanQueue
 
 COUNT = 60
@@ -91,17 +89,3 @@ def test_a_single_lidar_waits_for_odometry_only() -> None:
     for scan in scans(0, 10.0, 7.2, count=MAX_QUEUED_SCANS):
         queue.add(scan)
     assert queue.take(0.0) == ScanPair(second)
-
-
-def test_scans_before_the_first_odometry_are_left_out() -> None:
-    """A base boots while the robot moves: nothing tells where these scans were taken, or corrects their sweep."""
-    preprocessor = Preprocessor(Config())
-    for scan in scans(0, 10.0, 0.0, count=5):
-        preprocessor.add(scan)
-    assert preprocessor.next_scan() is None
-    for stamp in (0.35, 0.45):
-        preprocessor.add(Odometry(stamp, np.zeros(3)))
-    assert preprocessor.scans_without_odometry == 3
-    pair = preprocessor.next_scan()
-    assert pair is not None
-    assert pair.first.stamp == pytest.approx(0.3)
