@@ -21,6 +21,8 @@ from zenoh_ros2_sdk.qos import QosDurability, QosProfile
 SCAN, MAP, RESET = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/OccupancyGrid", "slam_toolbox/srv/Reset"
 PERIOD = 0.1
 """Seconds between two scans."""
+ATTEMPTS = 20
+"""Subscriptions to /map: the SDK asks for a latched message once, for at most 2 s, which a busy machine may exceed."""
 
 
 def write_definitions(folder: Path) -> None:
@@ -44,9 +46,14 @@ def main(folder: Path, first: float) -> None:
         arrived.set()
 
     latched = QosProfile(durability=QosDurability.TRANSIENT_LOCAL)
-    subscriber = ROS2Subscriber("/map", MAP, show, qos=latched)
+    for _ in range(ATTEMPTS):
+        subscriber = ROS2Subscriber("/map", MAP, show, qos=latched)
+        if arrived.wait(3.0):
+            break
+        subscriber.close()
+    else:
+        raise TimeoutError("no map")
     scans = ROS2Publisher("/scan", SCAN)
-    arrived.wait(60.0)
     request, response = "bool pause_new_measurements", "uint8 result"
     client = ROS2ServiceClient("/slam_toolbox/reset", RESET, request, response, timeout=60.0)
     print("result", client.call(pause_new_measurements=True).result, flush=True)
