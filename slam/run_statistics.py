@@ -6,6 +6,7 @@ import math
 from array import array
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
 from .loop_closure.returns import summarise
 from .mapping.mapper import Mapper
+from .odometry.error_model import OdometryModel
 from .preprocessing.preprocessor import Preprocessor
 
 DECIDED = (LoopStatus.REJECTED, LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
@@ -181,7 +183,7 @@ def run_summary(
         "states": statistics.state_rows(),
         **({"lost": lost} if lost else {}),
         **({"parts": parts} if parts else {}),
-        "odometry_deviation_per_metre": state.odometry_model.deviations.round(5).tolist(),
+        "odometry": _odometry_errors(state.odometry_model),
         "sigma_range": round(preprocessor.sigma_range, 5),
         "range_bias": _range_bias(mapper.graph.range_bias),
         "wall_roughness": round(math.sqrt(mapper.roughness.variance), 5),
@@ -192,6 +194,19 @@ def run_summary(
             "scans_without_odometry": preprocessor.scans_without_odometry,
         },
     }
+
+
+def _odometry_errors(model: OdometryModel) -> dict[str, Any]:
+    """Return the estimated errors of odometry: systematic ones, if wheels have measured it, and random ones."""
+    names = ("length", "turning", "veer", "x", "y", "heading")
+    values, sigmas = model.systematic_errors.values, np.sqrt(model.systematic_errors.variances)
+    systematic = {
+        name: {"value": round(value, 5), "sigma": round(sigma, 5)}
+        for name, value, sigma in zip(names, values.tolist(), sigmas.tolist(), strict=True)
+    }
+    along, across, heading, turning = model.deviations.round(5).tolist()
+    random = {"along": along, "across": across, "heading_per_metre": heading, "heading_per_radian": turning}
+    return {**({"systematic": systematic} if model.measured else {}), "random": random}
 
 
 def _range_bias(bias: RangeBias) -> dict[str, float | None]:

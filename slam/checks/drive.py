@@ -30,8 +30,7 @@ class Drive:
     odometry    (n, 3) odometry poses, without systematic errors as far as they are known
     segment     (n,) number of the odometry segment: odometry is continuous within one
     points      n arrays (p, 2), the valid returns in the base's frame, metres
-    deviations  (2,) standard deviations of odometry after one metre of travel: of the position (metres; proportional
-                to the travel) and of the heading (radians; proportional to its square root)
+    deviations  (4,) standard deviations of the random errors of odometry, see `OdometryModel.deviations`
     floors      (2,) standard deviations of a single odometry reading, metres and radians
     measured    False if odometry is predicted at constant velocity
     """
@@ -81,9 +80,10 @@ class Drive:
 
     def variances(self, motion: Floats) -> Floats:
         """Return the variances (m, 3) of odometry's motions (m, 3)."""
-        travel = wheel_travel(motion)
-        position = (self.deviations[0] * travel) ** 2 + self.floors[0] ** 2
-        return np.stack([position, position, self.deviations[1] ** 2 * travel + self.floors[1] ** 2], axis=-1)
+        travel, rates = wheel_travel(motion), self.deviations**2
+        position, reading = self.floors**2
+        heading = rates[2] * travel + rates[3] * np.abs(motion[..., 2]) + reading
+        return np.stack([rates[0] * travel**2 + position, rates[1] * travel**2 + position, heading], axis=-1)
 
 
 @compiled

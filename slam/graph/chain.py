@@ -8,7 +8,7 @@ from ..errors import MapError
 from ..geometry.segments import Floats
 from .array_factors import BETWEEN, PRIOR, add_normal_equations, moved, robust_cost
 from .block_cholesky import Pattern, factorise, solve
-from .factors import ODOMETRY_CAUCHY_SCALE
+from .factors import MOTION_CAUCHY_SCALE
 
 # Per square metre and square radian; added to every pose so that unmeasured directions are determined.
 # Origin: numerical.
@@ -37,7 +37,7 @@ def smooth_chain(poses: Floats, informations: Floats, motions: Floats, covarianc
     ends = np.concatenate([np.column_stack([at, at]), np.column_stack([at[:-1], at[1:]])])
     measured = np.concatenate([poses, motions])
     information = np.concatenate([informations + MIN_INFORMATION * np.eye(3), np.linalg.inv(covariances)])
-    factors = forms, ends, measured, information, np.where(forms == PRIOR, np.inf, ODOMETRY_CAUCHY_SCALE)
+    factors = forms, ends, measured, information, np.where(forms == PRIOR, np.inf, MOTION_CAUCHY_SCALE)
     # In the order of the chain, no elimination adds a block: that below the diagonal of column k is in row k + 1.
     pattern = Pattern(at, np.minimum(np.arange(count + 1), count - 1), at[1:], at[:-1])
     slots, corners = np.concatenate([np.zeros(count, dtype=np.int64), pattern.slots]), np.zeros(count, dtype=bool)

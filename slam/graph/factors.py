@@ -21,8 +21,9 @@ CAUCHY_SCALE = 4.0
 # The same for each of the two factors of a wall's observation: together they are as strong as one of both.
 # Origin: definition.
 WALL_CAUCHY_SCALE = CAUCHY_SCALE / 2**0.5
-# The same for odometry. Origin: chosen, smaller because single readings can be grossly wrong; not measured.
-ODOMETRY_CAUCHY_SCALE = 2.0
+# The same for motions that scans show. Origin: chosen, smaller because single scans can be matched wrongly; not
+# measured.
+MOTION_CAUCHY_SCALE = 2.0
 
 
 class FactorKind(StrEnum):
@@ -30,7 +31,7 @@ class FactorKind(StrEnum):
 
     Their `measured` values, [x, y, heading] or [x, y], and covariances are:
     POSE_PRIOR     the pose of `first`, which defines the map's frame; (3, 3). No `second`
-    ODOMETRY       the keyframe `second` in the frame of `first`; (3, 3). Robust
+    ODOMETRY       the keyframe `second` in the frame of `first`; (3, 3)
     GAUGE_PRIOR    the wall's frame in the frame of `first`; (1, 1), of its position along the wall
     WALL_HEADING   the wall's frame in the frame of `first`; (1, 1), of its heading. Robust
     WALL_OFFSET    [x, y, heading, lever]: as before; (1, 1), of its offset across plus lever times heading. Robust
@@ -67,8 +68,7 @@ class FactorKind(StrEnum):
 
 # Standard deviations at which a factor's weight is one half; the other kinds have no robust kernel.
 CAUCHY_SCALES = {
-    FactorKind.ODOMETRY: ODOMETRY_CAUCHY_SCALE,
-    FactorKind.SCAN_MATCH: ODOMETRY_CAUCHY_SCALE,
+    FactorKind.SCAN_MATCH: MOTION_CAUCHY_SCALE,
     FactorKind.WALL_HEADING: WALL_CAUCHY_SCALE,
     FactorKind.WALL_OFFSET: WALL_CAUCHY_SCALE,
     FactorKind.CORNER: CAUCHY_SCALE,

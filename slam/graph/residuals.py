@@ -73,11 +73,10 @@ def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> R
     """Return the residuals of all factors at `values`; removed factors, which leave empty slots, are skipped."""
     import gtsam  # only here: events hold residuals, and viewers start in half the time without GTSAM
 
-    from .factors import CAUCHY_SCALE, ODOMETRY_CAUCHY_SCALE, WALL_CAUCHY_SCALE
+    from .factors import CAUCHY_SCALE, MOTION_CAUCHY_SCALE, WALL_CAUCHY_SCALE
 
     cauchy_scales = {
-        ODOMETRY: ODOMETRY_CAUCHY_SCALE,
-        SCAN_MATCH: ODOMETRY_CAUCHY_SCALE,
+        SCAN_MATCH: MOTION_CAUCHY_SCALE,
         WALL: WALL_CAUCHY_SCALE,
         CORNER: CAUCHY_SCALE,
         PLAN: CAUCHY_SCALE,

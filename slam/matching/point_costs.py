@@ -20,6 +20,11 @@ COARSE_SIGMA = 0.10
 # is 2.8 standard deviations off; an unseen one costs the mean of fitting and not fitting.
 MISFIT = 4.0
 UNSEEN = 2.0  # Origin: as MISFIT.
+# Metres before its point, and after its start, in which a beam may touch surfaces. Origin: chosen, as in
+# `slam.mapping.sight_lines`.
+DEPTH = 0.3
+# Metres from a known point within which a beam passes through its surface. Origin: definition, the field's resolution.
+ON_SURFACE = 0.5 * math.sqrt(2.0) * FIELD_CELL
 # Metres and radians between searched poses. Origin: chosen, Gauss-Newton reaches more than half a step.
 SEARCH_STEP = 0.15
 SEARCH_TURN_STEP = math.radians(3.0)  # Origin: as SEARCH_STEP.
@@ -37,6 +42,28 @@ def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
             of_known += cost
             known += 1
     return total, 1.0 - of_known / (MISFIT * max(known, 1)), known
+
+
+@compiled
+def crossing_beams(field, points, pose):  # type: ignore[no-untyped-def]
+    """Return how many beams to points (p, 4) pass through known surfaces at a pose, before they reach theirs."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    start_x, start_y = (pose[0] - field[0][0]) / FIELD_CELL, (pose[1] - field[0][1]) / FIELD_CELL
+    count = 0
+    for k in range(len(points)):
+        length = math.hypot(points[k, 0], points[k, 1])
+        if length <= DEPTH:
+            continue
+        step_x = (c * points[k, 0] - s * points[k, 1]) / (length * FIELD_CELL)
+        step_y = (s * points[k, 0] + c * points[k, 1]) / (length * FIELD_CELL)
+        at = DEPTH
+        while at < length - DEPTH:
+            distance = nearest_distance(field, ALL_POINTS, start_x + at * step_x, start_y + at * step_y)
+            if distance < ON_SURFACE:
+                count += 1
+                break
+            at += max(FIELD_CELL, distance - FIELD_CELL)
+    return count
 
 
 @compiled

@@ -13,6 +13,12 @@ the difference e of the pose from the prediction, whose information is P, and th
 errors have heavy tails, hence the kernel. Points that do not fit come in groups: a person who stands in front of the
 robot is one event, hence POINTS_PER_OBJECT.
 
+People stop beams, but nothing lets beams through walls: in a crowd, a pose behind a wall could cost less than the true
+one. So matches near several predictions are compared by the beams that pass through known surfaces as well. With the
+share r of these beams at the pose where they are fewest, as people who have gone leave surfaces, each of them costs
+
+    log((1 - r) / r) / POINTS_PER_OBJECT
+
 A point in a cell that no beam has crossed is evidence of nothing: its cost is UNSEEN. So is that of a point beside a
 surface that faces elsewhere: it may be on the other side of a wall, seen for the first time.
 """
@@ -21,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +40,7 @@ from ..geometry.small_matrices import inverse, log_determinant, quadratic_form, 
 from .distance_field import DistanceField
 from .interpolation import add_points
 from .offset_tiles import FIELD_CELL
-from .point_costs import COARSE_SIGMA, points_cost, search_grid
+from .point_costs import COARSE_SIGMA, crossing_beams, points_cost, search_grid
 from .scan_points import subsample
 
 # Metres between points that count as separate measurements. Origin: chosen, as FIELD_CELL.
@@ -155,8 +161,7 @@ def match_points(
     searched = first.known >= MIN_KNOWN_POINTS if exhaustive else first.poor
     if not searched and len(predictions) <= MAX_UNSEARCHED:
         rivals = [rival for rival in predictions[1:] if rival.least_cost < first.cost]
-        found = [first, *(match_from(field, points, rival.pose, rival) for rival in rivals)]
-        return sorted(found, key=lambda match: match.cost)
+        return _ranked(field, points, [first, *(match_from(field, points, rival.pose, rival) for rival in rivals)])
     few = np.ascontiguousarray(subsample(points, MAX_SEARCH_POINTS))  # strided ones would be compiled for separately
     share = len(points) / max(1, len(few)) / POINTS_PER_OBJECT
     matches: list[PointMatch] = []
@@ -170,7 +175,18 @@ def match_points(
             continue
         tried = (near, match_from(field, points, start, prediction))
         matches.append(min(tried, key=lambda match: match.cost))
-    return sorted(matches, key=lambda match: match.cost)
+    return _ranked(field, points, matches)
+
+
+def _ranked(field: DistanceField, points: Floats, matches: list[PointMatch]) -> list[PointMatch]:
+    """Return matches of points (p, 4), those with the lowest cost first, with the costs of beams through surfaces."""
+    if len(matches) == 1:
+        return matches
+    counts = [int(crossing_beams(field.arrays, points, match.pose)) for match in matches]
+    share = (min(counts) + 1) / (len(points) + 2)  # mean of its posterior, if all shares are equally probable
+    cost = max(0.0, math.log((1.0 - share) / share)) / POINTS_PER_OBJECT
+    ranked = [replace(match, cost=match.cost + cost * count) for match, count in zip(matches, counts, strict=True)]
+    return sorted(ranked, key=lambda match: match.cost)
 
 
 def _search_around(field: DistanceField, points: Floats, share: float, prediction: Prediction) -> se2.Pose:

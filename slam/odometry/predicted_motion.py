@@ -9,7 +9,8 @@ import numpy as np
 from drivers import se2
 
 from ..config import OdometryConfig
-from .error_model import NORMAL_MEDIAN, PLANE_MEDIAN, PRIOR_SAMPLES, OdometryModel
+from .error_model import PLANE_MEDIAN, OdometryModel
+from .systematic_errors import NORMAL_MEDIAN, PRIOR_SAMPLES, SystematicErrors
 
 # Metres and radians: errors of a prediction before any driving. Origin: chosen, an acceleration of 1 m/s^2 or 3 rad/s^2
 # for half a second.
@@ -42,7 +43,7 @@ class PredictedMotionModel(OdometryModel):
 
     def __init__(self, config: OdometryConfig) -> None:
         super().__init__(config)
-        self._floors, self._systematic_variances = INITIAL_FLOORS, np.zeros(3)
+        self._floors, self._systematic = INITIAL_FLOORS, SystematicErrors(variances=np.zeros(6))
 
     def _estimate(self) -> None:
         measured, registered, variances = self._latest_samples()

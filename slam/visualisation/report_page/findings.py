@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ LOW_OVERLAP_RATIO = 0.75
 HIGH_ODOMETRY_ERROR = 0.3
 """Estimated odometry error, metres per metre travelled, above which something is wrong. Robots in public recordings
 have 0.06 to 0.12; a lidar mounted backwards without a matching `lidar.mount` causes 1.6."""
+MOUNT_ERRORS = {"x": 0.05, "y": 0.05, "heading": 0.03}
+"""Errors of the lidar's mount, metres and radians, above which they are reported: those of a ruler, and of the eye."""
 MAX_SHOWN_TIMES = 4
 MAX_SHOWN_SUSPECTS = 10
 SUSPECT_DETAILS = {
@@ -70,7 +73,7 @@ def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
         *_warning_findings(summary.get("warnings") or [], trajectory),
         *_loop_findings(slam.get("loop_decisions") or [], trajectory),
         *_health_findings(slam.get("health") or {}),
-        *_odometry_findings(slam.get("odometry_deviation_per_metre")),
+        *_odometry_findings(slam.get("odometry") or {}),
         *_source_findings(summary),
     ]
     return sorted(found, key=lambda finding: not finding.grave)
@@ -158,14 +161,38 @@ def _health_findings(health: dict[str, Any]) -> Iterator[Finding]:
             yield Finding(f"{counted(count, 'scan')} {text}.", detail)
 
 
-def _odometry_findings(deviations: list[float] | None) -> Iterator[Finding]:
-    """Yield a finding if odometry deviates much from the scans; a wrong lidar mount has the same effect."""
-    if deviations and deviations[0] > HIGH_ODOMETRY_ERROR:
+def _odometry_findings(odometry: dict[str, Any]) -> Iterator[Finding]:
+    """Yield findings if odometry deviates much from the scans, or turns around another point than stated."""
+    deviation = odometry.get("random", {}).get("along", 0.0)
+    if deviation > HIGH_ODOMETRY_ERROR:
         yield Finding(
-            f"Odometry deviates by {percent(deviations[0])} of the travelled distance.",
-            "Slipping wheels, a wrong wheel size, or a lidar that is not mounted as `lidar.mount` says.",
+            f"Odometry deviates by {percent(deviation)} of the travelled distance.",
+            "Slipping wheels, or a wrong wheel size.",
             grave=True,
         )
+    systematic = odometry.get("systematic", {})
+    names = [name for name, limit in MOUNT_ERRORS.items() if _is_beyond(systematic.get(name), limit)]
+    if names:
+        yield Finding(
+            f"The lidar is not where `lidar.mount` says, relative to the axle: {_mount_error(systematic)}.",
+            "The map is corrected for it. `wclm calibrate` measures the mount.",
+        )
+
+
+def _is_beyond(estimate: dict[str, float] | None, limit: float) -> bool:
+    """Return True if an estimate exceeds a limit, and zero by three standard deviations."""
+    return estimate is not None and abs(estimate["value"]) > max(limit, 3.0 * estimate["sigma"])
+
+
+def _mount_error(systematic: dict[str, dict[str, float]]) -> str:
+    """Return the pose of odometry's frame in the base's frame with its standard deviations, as text."""
+    parts = []
+    for name, positive, negative in (("x", "behind", "ahead"), ("y", "to the right", "to the left")):
+        value, sigma = 100.0 * systematic[name]["value"], 100.0 * systematic[name]["sigma"]
+        parts.append(f"{abs(value):.1f} ± {sigma:.1f} cm {positive if value > 0.0 else negative}")
+    value, sigma = (math.degrees(systematic["heading"][key]) for key in ("value", "sigma"))
+    parts.append(f"{abs(value):.1f} ± {sigma:.1f} degrees to the {'right' if value > 0.0 else 'left'}")
+    return ", ".join(parts)
 
 
 def _source_findings(summary: dict[str, Any]) -> Iterator[Finding]:

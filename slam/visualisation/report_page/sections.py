@@ -242,7 +242,8 @@ def details(summary: dict[str, Any], settings: str) -> str:
         ("estimated range bias and its standard deviation, metres", _range_bias(slam.get("range_bias"))),
         ("estimated wall roughness, metres", slam.get("wall_roughness")),
         ("estimated bends of walls, metres", (slam.get("wall_bends") or {}).get("sigma")),
-        ("estimated odometry error per metre: metres, radians", slam.get("odometry_deviation_per_metre")),
+        ("estimated systematic errors of odometry", _systematic_errors(slam.get("odometry") or {})),
+        ("estimated random errors of odometry", _random_errors(slam.get("odometry") or {})),
         *(summary.get("versions") or {}).items(),
     )
     rows = "".join(
@@ -251,6 +252,26 @@ def details(summary: dict[str, Any], settings: str) -> str:
         if value is not None
     )
     return f'<table class="plain"><tbody>{rows}</tbody></table><pre>{escape(settings)}</pre>'
+
+
+def _systematic_errors(odometry: dict[str, Any]) -> str | None:
+    """Return the systematic errors of odometry with their standard deviations; None if they were not estimated."""
+    errors = odometry.get("systematic")
+    if not errors:
+        return None
+    units = {"veer": " rad/m", "x": " m", "y": " m", "heading": " rad"}  # the others are factors
+    return ", ".join(f"{name} {e['value']:g} ± {e['sigma']:g}{units.get(name, '')}" for name, e in errors.items())
+
+
+def _random_errors(odometry: dict[str, Any]) -> str | None:
+    """Return the standard deviations of odometry's random errors; None if they were not estimated."""
+    errors = odometry.get("random")
+    if not errors:
+        return None
+    return (
+        f"position {errors['along']:g} m/m along and {errors['across']:g} m/m across the motion, heading "
+        f"{errors['heading_per_metre']:g} rad after one metre and {errors['heading_per_radian']:g} rad after one radian"
+    )
 
 
 def _range_bias(bias: dict[str, float | None] | None) -> str | None:

@@ -40,7 +40,7 @@ def test_result_is_that_of_gtsam() -> None:
         graph.add(gtsam.PriorFactorPose2(X(k), to_pose2(pose), noise))
     for k, motion in enumerate(motions):
         noise = gtsam.noiseModel.Gaussian.Covariance(covariances[k])
-        robust = gtsam.noiseModel.Robust.Create(KERNELS[FactorKind.ODOMETRY], noise)
+        robust = gtsam.noiseModel.Robust.Create(KERNELS[FactorKind.SCAN_MATCH], noise)
         graph.add(gtsam.BetweenFactorPose2(X(k), X(k + 1), to_pose2(motion), robust))
     solved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     expected = [from_pose2(solved.atPose2(X(k))) for k in range(COUNT)]

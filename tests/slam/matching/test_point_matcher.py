@@ -11,7 +11,7 @@ from drivers import se2
 from slam.geometry.segments import Floats, Segments
 from slam.matching.distance_field import DistanceField
 from slam.matching.offset_tiles import FIELD_CELL
-from slam.matching.point_costs import UNSEEN
+from slam.matching.point_costs import UNSEEN, crossing_beams
 from slam.matching.point_matcher import (
     POINT_SPACING,
     POINTS_PER_OBJECT,
@@ -193,6 +193,26 @@ def test_pose_without_evidence_is_the_prediction(empty: str) -> None:
     np.testing.assert_array_equal(found.information, 0.0)
     assert found.known == 0
     assert not found.poor
+
+
+def test_people_stop_beams_but_no_beam_passes_through_a_wall() -> None:
+    points = scan_points(ROOM, INSIDE)
+    behind_the_wall = se2.compose(np.array([-1.0, 0.0, 0.0]), INSIDE)
+    assert crossing_beams(ROOM_FIELD.arrays, points, INSIDE) <= 0.02 * len(points)
+    assert crossing_beams(ROOM_FIELD.arrays, points * [0.5, 0.5, 1.0, 1.0], INSIDE) == 0
+    assert crossing_beams(ROOM_FIELD.arrays, points, behind_the_wall) > 0.2 * len(points)
+
+
+def test_in_a_crowd_odometry_is_believed_rather_than_a_pose_behind_a_wall() -> None:
+    """Stop two beams of three by people, and offer a pose outside of the room at which their points lie on a wall."""
+    truth = np.array([0.6, 2.0, 0.0])
+    points = scan_points(ROOM, truth)
+    crowd = points.copy()
+    crowd[np.arange(len(crowd)) % 3 != 0, :2] *= 0.5
+    usual = Prediction(truth, information(0.02, 1.0))
+    beyond = Prediction(np.array([-1.2, 2.0, 0.0]), information(0.5, 20.0), 3.0)
+    found = match_points(ROOM_FIELD, crowd, [usual, beyond])[0]
+    assert found.prediction is usual
 
 
 def test_cost_is_lowest_at_the_true_pose() -> None:

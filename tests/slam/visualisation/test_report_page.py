@@ -189,7 +189,7 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
     slam = {
         "loop_decisions": [{"status": "retracted", "stamp": 30.0}, {"status": "retracted", "stamp": 40.0}],
         "health": {"overlap_ratio_median": 0.6, "no_features": 1, "empty_scans": 4},
-        "odometry_deviation_per_metre": [1.58, 0.02],
+        "odometry": {"random": {"along": 1.58, "across": 0.1, "heading_per_metre": 0.02, "heading_per_radian": 0.1}},
         "states": [
             {"stamp": 2.0, "state": "LOST", "direction": None},
             {"stamp": 5.0, "state": "OK", "direction": None},

@@ -1,0 +1,86 @@
+"""Random errors of wheel odometry: variances per metre and per radian, from motions as measured and as registered."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.compiled import compiled
+
+from ..geometry.angles import wrap_angle
+from ..geometry.segments import Floats
+from .systematic_errors import MAX_STRAIGHT_TURN, NORMAL_MEDIAN, PRIOR_SAMPLES
+
+# Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
+# or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
+MIN_VARIANCE_RATE = 1e-8
+# Radians: drift of the heading by turning one radian, before any driving. Origin: measured, 0.02 to 0.07 on recordings
+# of ten robots.
+TURN_WALK = 0.04
+# Relative standard error of the median of squared normal variables, times the root of their number: 1 / (2 f(m) m) with
+# the median m and the density f. Origin: definition, chi-square, 1 dof.
+NORMAL_MEDIAN_ERROR = 2.33
+
+
+def estimate_rates(
+    initial: Floats, corrected: Floats, registered: Floats, variances: Floats, travel: Floats, floors: Floats
+) -> Floats:
+    """Return (4,) variances: along and across a motion per square metre, of heading per metre and per radian of turn.
+
+    initial     (4,) before any driving; they count for PRIOR_SAMPLES motions in a geometric mean, as they may be wrong
+                by a factor: in an arithmetic mean a value five times too large would dominate after a hundred motions
+    corrected   (n, 3) motions as measured, without their systematic errors
+    registered  (n, 3) the same motions as registered
+    variances   (n, 2) of the registered motions: of the position in one direction, and of the heading
+    travel      (n,) metres of wheel travel
+    floors      (2,) standard deviations of a single reading, of position and heading
+    """
+    observed, counts = _observed_rates(corrected, registered, variances, travel, floors)
+    weights = counts / (counts + PRIOR_SAMPLES)
+    least = MIN_VARIANCE_RATE
+    return np.asarray(np.maximum(initial, least) ** (1.0 - weights) * np.maximum(observed, least) ** weights)
+
+
+@compiled
+def _observed_rates(corrected, registered, variances, travel, floors):  # type: ignore[no-untyped-def]
+    """Return the rates (4,) from the motions alone, and the numbers (4,) of motions that they are estimated from."""
+    count = len(travel)
+    along, across, straight, turning = np.empty((2, count)), np.empty((2, count)), np.empty((2, count)), 0
+    straights = 0
+    heading = np.empty(count)
+    for k in range(count):
+        x, y = registered[k, 0] - corrected[k, 0], registered[k, 1] - corrected[k, 1]
+        c, s = math.cos(corrected[k, 2]), math.sin(corrected[k, 2])
+        noise, scale = variances[k, 0] + floors[0] ** 2, travel[k] ** 2
+        along[0, k], along[1, k] = (c * x + s * y) ** 2 / (NORMAL_MEDIAN * scale), noise / scale
+        across[0, k], across[1, k] = (c * y - s * x) ** 2 / (NORMAL_MEDIAN * scale), noise / scale
+        heading[k] = wrap_angle(registered[k, 2] - corrected[k, 2]) ** 2 / NORMAL_MEDIAN
+        if abs(corrected[k, 2]) <= MAX_STRAIGHT_TURN:
+            noise = variances[k, 1] + floors[1] ** 2
+            straight[0, straights], straight[1, straights] = heading[k] / travel[k], noise / travel[k]
+            straights += 1
+    rates, counts = np.zeros(4), np.array([float(count), float(count), float(straights), float(count - straights)])
+    rates[0], rates[1] = _median_excess(along), _median_excess(across)
+    rates[2] = _median_excess(straight[:, :straights])
+    turns = np.empty((2, count))
+    for k in range(count):
+        turn = abs(corrected[k, 2])
+        if turn > MAX_STRAIGHT_TURN:
+            noise = variances[k, 1] + floors[1] ** 2 + rates[2] * travel[k]
+            turns[0, turning], turns[1, turning] = heading[k] / turn, noise / turn
+            turning += 1
+    rates[3] = _median_excess(turns[:, :turning])
+    return rates, counts
+
+
+@compiled
+def _median_excess(values):  # type: ignore[no-untyped-def]
+    """Return the median of squared errors without the noise that is known, values (2, n): the squares, the noise.
+
+    It is at least the standard error of the squares' median: less cannot be told from the noise.
+    """
+    count = values.shape[1]
+    if not count:
+        return 0.0
+    return max(np.median(values[0] - values[1]), NORMAL_MEDIAN_ERROR / math.sqrt(count) * np.median(values[0]))

@@ -1,0 +1,182 @@
+"""Systematic errors of wheel odometry: those that all motions of a robot share.
+
+Wrong wheel diameters scale the length of a motion by a factor, a wrong distance between the wheels scales turns by
+another, and unequal wheels veer in proportion to the length. Odometry describes the motion of its own frame, the middle
+of the axle that the robot turns around. If the pose of the lidar on the base is not known exactly, or the wheels slip,
+that frame F is not the base's: with its pose q in the base's frame, the base moves by q M q^-1 if F moves by M.
+
+All estimates are medians, which single gross errors do not affect.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from drivers import se2
+from drivers.compiled import compiled
+
+from ..geometry.angles import wrap_angle
+from ..geometry.segments import Floats
+
+# Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
+# error. Origin: chosen, above the accuracy of registration; not measured.
+MIN_MOTION_TRAVEL = 0.05
+# Motions that the values before any driving count for. Origin: chosen, so few that the first metres of driving correct
+# a wrong value; not measured.
+PRIOR_SAMPLES = 10
+# Standard deviations of the systematic errors before any driving: relative ones of length and of turning, veering in
+# radians per metre, and the pose of odometry's frame, metres and radians. Origin: chosen, wheels within 3 % of their
+# nominal size and distance, that differ by 0.5 % at a distance of half a metre; a frame measured with a ruler, by eye.
+SYSTEMATIC_SIGMAS = np.array([0.03, 0.05, 0.01, 0.05, 0.05, 0.03])
+# Variance before any driving of the errors of single motions, relative to their length or turn, or radians per metre
+# squared. Origin: chosen, a centimetre or a degree in a motion of a decimetre or ten degrees.
+INITIAL_SPREAD = 0.1**2
+# Factor by which odometry may over- or underestimate turns; beyond, the wheels are faulty rather than miscalibrated.
+# Origin: chosen, well beyond calibration errors; not measured.
+MAX_TURN_FACTOR = 2.0
+# Radians: a motion that turns by less is used for the factor of length, for veering and for the heading of odometry's
+# frame, else for the factor of turning and the position of that frame. Origin: chosen, several times the heading error
+# of registration; not measured.
+MAX_STRAIGHT_TURN = math.radians(4.0)
+# Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
+NORMAL_MEDIAN = 0.4549
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SystematicErrors:
+    """Systematic errors of wheel odometry, see the module.
+
+    length, turning  factors of the length and of the turn of a measured motion
+    veer             radians per metre that a motion turns in addition
+    frame            [x, y, heading] of odometry's frame in the base's frame
+    variances        (6,) of all these
+    """
+
+    length: float = 1.0
+    turning: float = 1.0
+    veer: float = 0.0
+    frame: se2.Pose = field(default_factory=lambda: np.zeros(3))
+    variances: Floats = field(default_factory=lambda: SYSTEMATIC_SIGMAS**2)
+
+    @classmethod
+    def of_samples(cls, samples: Floats) -> SystematicErrors:
+        """Estimate the errors from `samples` (n, 8) of motions, see `OdometryModel.samples`."""
+        means, variances = _systematic_errors(samples)
+        turning = min(max(1.0 + means[1], 1 / MAX_TURN_FACTOR), MAX_TURN_FACTOR)
+        return cls(1.0 + means[0], turning, means[2], means[3:], variances)
+
+    @property
+    def values(self) -> Floats:
+        """(6,) length, turning, veer and frame; (1, 1, 0, 0, 0, 0) for perfect odometry."""
+        return np.array([self.length, self.turning, self.veer, *self.frame])
+
+    def correct(self, motion: se2.Pose) -> se2.Pose:
+        """Return measured motions (..., 3) of odometry's frame as motions of the base, without systematic errors."""
+        rows = np.ascontiguousarray(motion).reshape(-1, 3)
+        return np.asarray(_corrected(rows, self.length, self.turning, self.veer, self.frame)).reshape(motion.shape)
+
+    def covariance(self, motion: se2.Pose) -> Floats:
+        """Return (3, 3) the covariance of a corrected motion [x, y, heading] by the errors left, in its end frame.
+
+        An error of heading grows in proportion to the way, and moves the end by |m| / 2 times that of the heading
+        across the motion m. One of the frame's position moves the end by the difference of its turned and its unturned
+        value.
+        """
+        ahead, left, turn = motion.tolist()
+        c, s = math.cos(turn), math.sin(turn)
+        x, y = c * ahead + s * left, c * left - s * ahead  # in the end frame
+        length, turning, veering, frame_x, frame_y, skew = self.variances.tolist()
+        of_heading = turning * turn**2 + veering * ahead**2
+        across, mixed = of_heading / 4.0 + skew, 0.5 * of_heading
+        c -= 1.0
+        xy = (length - across) * x * y + c * s * (frame_y - frame_x)
+        return np.array(
+            [
+                [length * x * x + across * y * y + c * c * frame_x + s * s * frame_y, xy, -mixed * y],
+                [xy, length * y * y + across * x * x + s * s * frame_x + c * c * frame_y, mixed * x],
+                [-mixed * y, mixed * x, of_heading],
+            ]
+        )
+
+
+@compiled
+def _corrected(motions, length, turning, veer, frame):  # type: ignore[no-untyped-def]
+    """Return motions (n, 3) without systematic errors: first those of the wheels, then that of odometry's frame."""
+    corrected = np.empty(motions.shape)
+    for k in range(len(motions)):
+        ahead, left, before = motions[k]
+        turn = turning * before + veer * ahead
+        # The chord of an arc points ahead by half its turn.
+        bend = 0.5 * (turn - before) + frame[2]
+        c, s = length * math.cos(bend), length * math.sin(bend)
+        corrected[k, 0], corrected[k, 1] = c * ahead - s * left, s * ahead + c * left
+        c, s = math.cos(turn), math.sin(turn)
+        corrected[k, 0] += frame[0] - c * frame[0] + s * frame[1]
+        corrected[k, 1] += frame[1] - s * frame[0] - c * frame[1]
+        corrected[k, 2] = wrap_angle(turn)
+    return corrected
+
+
+@compiled
+def _systematic_errors(samples):  # type: ignore[no-untyped-def]
+    """Return means (6,) and variances (6,) of the errors of length, turning and veering, and of odometry's frame.
+
+    samples  (n, 8) motions as measured by odometry and as registered, with variances
+
+    A motion that turns by t moves the base by (I - R(t)) p in addition if odometry's frame is at p. In the axes halfway
+    between both ends this is 2 sin(t / 2) [p_y, -p_x].
+    """
+    count = len(samples)
+    length, veer, skew, straight = np.empty(count), np.empty(count), np.empty(count), 0
+    for k in range(count):
+        ahead, left, turn = samples[k, 0], samples[k, 1], samples[k, 2]
+        # Selected by the measured turn, as keyframes are by measured motions: so errors of registration select nothing.
+        if abs(ahead) > MIN_MOTION_TRAVEL and abs(turn) <= MAX_STRAIGHT_TURN:
+            extra = wrap_angle(samples[k, 5] - turn)
+            length[straight] = samples[k, 3] / ahead - 1.0
+            veer[straight] = extra / ahead
+            skew[straight] = (samples[k, 4] - left) / ahead - 0.5 * extra  # an arc's chord points ahead by half a turn
+            straight += 1
+    means, variances = np.empty(6), np.empty(6)
+    means[0], variances[0] = _posterior(length[:straight], SYSTEMATIC_SIGMAS[0])
+    means[2], variances[2] = _posterior(veer[:straight], SYSTEMATIC_SIGMAS[2])
+    means[5], variances[5] = _posterior(skew[:straight], SYSTEMATIC_SIGMAS[5])
+    of_turn, x, y, turning = np.empty(count), np.empty(count), np.empty(count), 0
+    for k in range(count):
+        turn, actual = samples[k, 2], samples[k, 5]
+        if abs(turn) > MAX_STRAIGHT_TURN:
+            of_turn[turning] = wrap_angle(actual - means[2] * samples[k, 0]) / turn - 1.0
+            half, scale = 0.5 * actual, (1.0 + means[0])
+            c, s = math.cos(half), math.sin(half)
+            ahead, left = c * samples[k, 3] + s * samples[k, 4], c * samples[k, 4] - s * samples[k, 3]
+            bend = means[5] - 0.5 * turn  # of the measured chord in the axes halfway
+            c, s = math.cos(bend), math.sin(bend)
+            ahead -= scale * (c * samples[k, 0] - s * samples[k, 1])
+            left -= scale * (c * samples[k, 1] + s * samples[k, 0])
+            change = 2.0 * math.sin(0.5 * turn)  # by the measured turn: that of registration may be zero
+            x[turning], y[turning] = -left / change, ahead / change
+            turning += 1
+    means[1], variances[1] = _posterior(of_turn[:turning], SYSTEMATIC_SIGMAS[1])
+    means[3], variances[3] = _posterior(x[:turning], SYSTEMATIC_SIGMAS[3])
+    means[4], variances[4] = _posterior(y[:turning], SYSTEMATIC_SIGMAS[4])
+    return means, variances
+
+
+@compiled
+def _posterior(values, sigma):  # type: ignore[no-untyped-def]
+    """Return mean and variance of an error, from samples (n,) and the standard deviation `sigma` before them.
+
+    The samples count by their median, whose variance is pi / 2 times that of a mean. The spread of few samples says
+    little about their variance: before any driving it is INITIAL_SPREAD, which counts for PRIOR_SAMPLES.
+    """
+    count = len(values)
+    if not count:
+        return 0.0, sigma**2
+    median = np.median(values)
+    spread = np.median((values - median) ** 2) / NORMAL_MEDIAN
+    spread = (PRIOR_SAMPLES * INITIAL_SPREAD + count * spread) / (PRIOR_SAMPLES + count)
+    share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / count)
+    return share * median, (1.0 - share) * sigma**2
