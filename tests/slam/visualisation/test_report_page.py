@@ -224,6 +224,19 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
 
 
+def test_a_mount_that_the_drive_contradicts_is_a_finding(tmp_path: Path, finished: Finished) -> None:
+    trajectory = make(tmp_path / "out", finished).trajectory
+    errors = {name: {"value": 0.0, "sigma": 0.004} for name in ("length", "turning", "veer", "x", "y", "heading")}
+    assert findings(SUMMARY | {"slam": {"odometry": {"systematic": errors}}}, trajectory) == []
+    errors |= {"x": {"value": -0.0896, "sigma": 0.0025}, "heading": {"value": 0.0175, "sigma": 0.0023}}
+    (finding,) = findings(SUMMARY | {"slam": {"odometry": {"systematic": errors}}}, trajectory)
+    assert finding.text == (
+        "The lidar is not where `lidar.mount` says, relative to the axle: 9.0 ± 0.2 cm ahead, 0.0 ± 0.4 cm to the "
+        "left, 1.0 ± 0.1 degrees to the right."
+    )
+    assert not finding.grave
+
+
 def test_warnings_of_one_second_have_one_time(tmp_path: Path, finished: Finished) -> None:
     warnings = [f"odometry slipped (at {70 + k / 10} s)" for k in range(6)]
     trajectory = make(tmp_path / "out", finished).trajectory
