@@ -8,6 +8,7 @@ the map around the robot is read back, and loops are searched for.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -70,10 +71,16 @@ class KeyframeUpdate:
 def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingResult:
     """Estimate the pose of a scan and store it in the state."""
     _follow_prediction(state, scan)
-    target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variance)
+    in_new_map = not state.frozen and not state.kidnapped and not state.at_part_begin and state.anchor is not None
+    recent = partial(state.local_field.recent, state.mapper.keyframe_poses, state.mapper.travelled)
+    target = MatchTarget(
+        state.local_map, state.local_field.field, state.mapper.roughness.variance, recent if in_new_map else None
+    )
     features = correct_range_bias(scan.features, state.mapper.graph.range_bias.metres)
     tracking = state.tracker.track(scan.stamp, scan.odometry, features, target)
     timer.lap("registration")
+    if tracking.contradicts_old_map:
+        state.local_field.part_from_revisited(state.mapper.travelled)
     untracked = tracking.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
     state.untracked_scans = [*state.untracked_scans, scan] if untracked else []
     if tracking.status is TrackingStatus.TRACKED:

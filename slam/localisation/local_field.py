@@ -122,6 +122,29 @@ class LocalField:
         gaps[list(self._gaps)] = list(self._gaps.values())
         return np.asarray(travelled, dtype=np.float64) + np.cumsum(gaps)
 
+    def recent(self, poses: Floats, travelled: Sequence[float]) -> DistanceField:
+        """Return a distance field of the keyframes within REFERENCE_DISTANCE of the last one along the drive.
+
+        For the arguments see `update`.
+        """
+        first = self._first_since(REFERENCE_DISTANCE, travelled)
+        recent, field = np.arange(first, len(self._points)), DistanceField.empty(poses[len(self._points) - 1])
+        field.insert_scans(poses[recent], self.points_of(recent))
+        return field
+
+    def part_from_revisited(self, travelled: Sequence[float]) -> None:
+        """Remove the links of the keyframes within MAX_PATH of the last one along the drive with earlier ones.
+
+        Takes effect with the next update. The places that the robot has come back to can be linked again, or recognised
+        by a loop closure.
+        """
+        self.unlink(range(self._first_since(MAX_PATH, travelled), len(self._points)))
+
+    def _first_since(self, distance: float, travelled: Sequence[float]) -> int:
+        """Return the first keyframe within a distance (metres) of the last one along the drive."""
+        ways = self.ways(travelled)
+        return int(np.searchsorted(ways, ways[-1] - distance))
+
     def is_undetermined(self, since: int, keyframe: int) -> bool:
         """True if scans do not determine the whole motion from one keyframe to a later one."""
         return any(since < gap <= keyframe for gap in self._gaps)

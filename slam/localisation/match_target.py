@@ -7,7 +7,7 @@ is off by centimetres, and scans from nearby repeat this error.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..mapping.local_map import LocalMap
@@ -71,11 +71,13 @@ class MatchTarget:
     landmarks  walls and corners, with covariances relative to the robot
     field      distance field of the keyframes around the robot
     roughness  variance of the wall roughness (metres squared)
+    recent     returns the distance field of the last metres alone; None if nothing was mapped there
     """
 
     landmarks: LocalMap
     field: DistanceField
     roughness: float
+    recent: Callable[[], DistanceField] | None = None
 
     def match(self, scan: ScanFeatures, predictions: Sequence[Prediction], *, exhaustive: bool = False) -> ScanMatch:
         """Match a scan near one of several predicted poses.

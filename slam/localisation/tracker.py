@@ -23,14 +23,13 @@ from drivers import se2
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.line_matcher import ScanFeatures
-from ..matching.point_matcher import KERNEL, PointMatch, Prediction
+from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import wheel_travel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, ScanClock, VelocityFilter
 from .match_target import MIN_WALL_LENGTH, MatchTarget, ScanMatch
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
-from .view_change import View
+from .view_change import View, ViewComparison
 
 # Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
 # Origin: chosen, once in twenty scans that fit badly; not measured.
@@ -47,9 +46,6 @@ MIN_POINTS = 30
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
 # well, the robot was kidnapped. Origin: chosen; no measurement recorded.
 SUSPICIOUS_DROP = 0.5
-# Metres of wheel travel for which a changed view counts as recent: look-alike places differ some way on.
-# Origin: chosen; no measurement recorded.
-VIEW_CHANGE_MEMORY = 10.0
 # Scans in a row that may fit nowhere, or be tentative, before tracking is lost, or before tentative poses that agree
 # with each other are accepted. Origin: measured, on recordings of fifteen drives indoors at most three in a row are
 # tentative before the next one decides.
@@ -74,9 +70,7 @@ class Tracker:
         self._prediction_error = PredictionError()
         self._untracked_in_a_row = 0
         self._last_score = 0.0  # of the last tracked scan
-        self._view: View | None = None  # last view with enough points for a comparison
-        self._odometry: se2.Pose | None = None  # at the last scan
-        self._travel_since_view_change = np.inf  # metres
+        self._views = ViewComparison()
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
@@ -141,7 +135,7 @@ class Tracker:
     @property
     def view_changed(self) -> bool:
         """True if the view has changed abruptly within the last metres."""
-        return bool(self._travel_since_view_change < VIEW_CHANGE_MEMORY)
+        return self._views.changed
 
     def track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
         """Estimate the base's pose at a scan taken when odometry was at `odometry`.
@@ -151,16 +145,19 @@ class Tracker:
         """
         predictions = self._predict(stamp, odometry)
         match = target.match(scan, predictions, exhaustive=not self._model.measured)
+        alone = self._match_to_last_metres(match, predictions, scan, target)
+        match = alone or match
         status, slipped = self._judge(match, predictions, scan, target)
         tracked = status is TrackingStatus.TRACKED
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
-        differs = self._compare_views(View(odometry, scan.points.all), suspicious=suspicious)
+        differs = self._views.add(View(odometry, scan.points.all), self._model, suspicious=suspicious)
         abrupt = tracked and (differs or (slipped and match.poor and self.view_changed))
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
         follows = self._tentative is not None and match.points.prediction in predictions[-FROM_TENTATIVE:]
         result = replace(self._result(match, status, slipped=slipped, abrupt=abrupt), follows=follows)
+        result = replace(result, contradicts_old_map=alone is not None)
         if status is TrackingStatus.TRACKED and self._model.measured:
             predicted, of_match = predictions[0], inverse(match.points.information + CONDITIONING)
             difference = se2.between(predicted.pose, match.points.pose)
@@ -168,29 +165,23 @@ class Tracker:
         self._update_fix(result, match.score, odometry)
         return result
 
-    def _compare_views(self, view: View, *, suspicious: bool) -> bool:
-        """Return True if a scan is suspicious and its view shows another place than the last one."""
-        if self._odometry is not None:
-            self._travel_since_view_change += float(wheel_travel(se2.between(self._odometry, view.odometry)))
-        differs = suspicious and self._view_differs(view)
-        if differs:
-            self._travel_since_view_change = 0.0
-        self._odometry = view.odometry
-        if view.comparable:
-            self._view = view
-        return differs
+    def _match_to_last_metres(
+        self, match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
+    ) -> ScanMatch | None:
+        """Return the match to the last metres alone, if odometry and these agree, and `match` contradicts them.
 
-    def _view_differs(self, view: View) -> bool:
-        """Return True if a view shows another place than the last one, or if it is the first one.
-
-        False without odometry, as the robot may have driven in between, and without enough points for a comparison.
+        Then odometry has not failed: the robot has come back to a place that was mapped at another pose, and a loop has
+        to be closed. If odometry were said to have slipped, the map would tear here.
         """
-        if not self._model.measured:
-            return False
-        if self._view is None:
-            return self._odometry is None
-        motion = self._model.correct(se2.between(self._view.odometry, view.odometry))
-        return self._view.differs_from(view, motion)
+        usual = predictions[0]
+        contradicts = match.points.prediction is not usual or usual.squared_distance(match.points.pose) > KERNEL**2
+        if target.recent is None or not self._model.measured or not contradicts:
+            return None
+        alone = replace(target, field=target.recent()).match(scan, predictions)
+        agrees = alone.points.prediction is usual and usual.squared_distance(alone.points.pose) <= KERNEL**2
+        expected = Prediction(alone.points.pose, _information_of(PREDICTION_SIGMAS))
+        elsewhere = expected.squared_distance(match.points.pose) > KERNEL**2
+        return alone if agrees and elsewhere and alone.known >= MIN_KNOWN_POINTS and not alone.poor else None
 
     def _predict(self, stamp: float, odometry: se2.Pose) -> list[Prediction]:
         """Return the predictions of the pose: the usual one first, and that after a slip second, if one is possible.

@@ -43,6 +43,8 @@ class TrackingResult:
     slipped       True if odometry's motion since the reference contradicts the pose
     abrupt        True if the scan fits by chance only: it is then FAILED, and the robot may have been kidnapped
     follows       True if the pose was found from the tentative pose of the scan before, which is right if this one is
+    contradicts_old_map  True if the scan was matched to the last metres alone, as the map of earlier passes contradicts
+                         them and odometry
     """
 
     pose: se2.Pose
@@ -56,6 +58,7 @@ class TrackingResult:
     slipped: bool
     abrupt: bool
     follows: bool = False
+    contradicts_old_map: bool = False
 
     @property
     def scan_pose(self) -> se2.Pose:

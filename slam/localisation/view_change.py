@@ -23,6 +23,7 @@ from drivers.compiled import compiled
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
 from ..matching.scan_points import subsample
+from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 
 # (n, 3) errors [x, y, heading] of odometry between two scans that are tried (metres, metres, radians).
@@ -50,6 +51,10 @@ MIN_POINTS = 30
 # Metres of wheel travel between two scans above which the robot has driven. Origin: definition, the largest error in
 # ODOMETRY_ERRORS: within it the pose of a robot that stands, or is lifted, is known as well as the comparison needs.
 MAX_TRAVEL = 0.1
+
+# Metres of wheel travel for which a changed view counts as recent: look-alike places differ some way on.
+# Origin: chosen; no measurement recorded.
+VIEW_CHANGE_MEMORY = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +91,43 @@ class View:
         points = np.ascontiguousarray(subsample(other.near, MAX_COMPARED_POINTS))
         poses = se2.compose(motion, ODOMETRY_ERRORS)
         return bool(_agreeing_share(bearings[order], ranges, points, poses) < SAME_PLACE_SHARE)
+
+
+class ViewComparison:
+    """Compares the view of each scan that is suspicious with the last one, and remembers recent changes."""
+
+    def __init__(self) -> None:
+        self._view: View | None = None  # last view with enough points for a comparison
+        self._odometry: se2.Pose | None = None  # at the last scan
+        self._travel_since_change = np.inf  # metres
+
+    @property
+    def changed(self) -> bool:
+        """True if the view has changed abruptly within the last metres."""
+        return bool(self._travel_since_change < VIEW_CHANGE_MEMORY)
+
+    def add(self, view: View, model: OdometryModel, *, suspicious: bool) -> bool:
+        """Add the view of a scan. Return True if the scan is suspicious and shows another place than the last one."""
+        if self._odometry is not None:
+            self._travel_since_change += float(wheel_travel(se2.between(self._odometry, view.odometry)))
+        differs = suspicious and self._differs(view, model)
+        if differs:
+            self._travel_since_change = 0.0
+        self._odometry = view.odometry
+        if view.comparable:
+            self._view = view
+        return differs
+
+    def _differs(self, view: View, model: OdometryModel) -> bool:
+        """Return True if a view shows another place than the last one, or if it is the first one.
+
+        False without odometry, as the robot may have driven in between, and without enough points for a comparison.
+        """
+        if not model.measured:
+            return False
+        if self._view is None:
+            return self._odometry is None
+        return self._view.differs_from(view, model.correct(se2.between(self._view.odometry, view.odometry)))
 
 
 @compiled

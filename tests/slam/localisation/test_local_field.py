@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from slam.geometry.segments import CornerPoints, Floats, Segments
-from slam.localisation.local_field import MAX_CENTRE_DISTANCE, MAX_DISPLACEMENT, MAX_PATH, LocalField
+from slam.localisation.local_field import (
+    MAX_CENTRE_DISTANCE,
+    MAX_DISPLACEMENT,
+    MAX_PATH,
+    REFERENCE_DISTANCE,
+    LocalField,
+)
 from slam.matching.distance_field import ALL_POINTS
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.offset_tiles import FIELD_CELL, NOWHERE
@@ -70,6 +76,23 @@ def test_links_of_a_pass_with_earlier_keyframes_can_be_removed() -> None:
     field.update(119, poses, (STEP * np.arange(120)).tolist())
     assert 10 not in field.inserted
     assert 119 in field.inserted
+
+
+def test_a_field_that_contradicts_the_last_metres_parts_from_earlier_passes() -> None:
+    poses, field = straight_drive(120), LocalField()
+    travelled = (STEP * np.arange(120)).tolist()
+    drive(field, poses)
+    for one, other in ((10, 110), (105, 117), (10, 60)):
+        field.link(one, other)
+    field.part_from_revisited(travelled)
+    assert field.state.links == ((105, 117), (10, 60))
+    field.update(119, poses, travelled)
+    assert 10 not in field.inserted
+    recent = field.recent(poses, travelled)
+    known = offsets_of(recent)[ALL_POINTS, ..., 0] != NOWHERE
+    columns = recent.origin[0] + FIELD_CELL * np.flatnonzero(known.any(axis=1))
+    assert poses[-1, 0] - REFERENCE_DISTANCE < columns.max()
+    assert columns.min() > poses[-1, 0] - REFERENCE_DISTANCE - 2 * STEP
 
 
 def test_field_is_built_anew_if_poses_have_changed() -> None:

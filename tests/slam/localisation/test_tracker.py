@@ -18,6 +18,7 @@ from slam.events import Notice
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.match_target import MatchTarget
 from slam.localisation.tracker import Tracker
+from slam.localisation.tracking import TrackingStatus
 from slam.mapping.local_map import empty_local_map
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.offset_tiles import FIELD_CELL
@@ -192,6 +193,30 @@ def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
     stands, odometry = np.array([1.8, 1.7, -0.35]), se2.compose(pose, np.array([0.8, 0.9, 0.8]))
     poses = [tracker.track(t, odometry, seen_from(stands), target).pose for t in (11.1, 11.2)]
     assert np.all(np.abs(se2.between(stands, poses[-1])) < [0.05, 0.05, 0.03])
+
+
+@pytest.mark.parametrize("slips", [False, True])
+def test_only_a_slip_that_the_last_metres_show_is_believed(slips: bool) -> None:
+    """The field shows the room also as an earlier pass has mapped it, half a metre aside: a loop has to be closed."""
+    begin, aside = np.array([1.0, 1.5, 0.0]), np.array([0.0, 0.5, 0.0])
+    recent = noisy_field(ROOM, begin)
+    earlier = noisy_field(ROOM + aside[:2], begin + aside)
+    tracker = Tracker(OdometryModel(OdometryConfig()))
+    for k in range(8):
+        pose = begin + np.array([0.05 * k, 0.0, 0.0])
+        if not k:
+            tracker.move_to(pose, pose)
+        tracker.track(0.1 * k, pose, seen_from(pose), MatchTarget(empty_local_map(), recent, 0.0))
+    pose = pose + (aside if slips else np.zeros(3)) + np.array([0.05, 0.0, 0.0])
+    odometry = begin + np.array([0.4, 0.0, 0.0])
+    field = recent if slips else earlier
+    for k in (8, 9):
+        result = tracker.track(
+            0.1 * k, odometry, seen_from(pose), MatchTarget(empty_local_map(), field, 0.0, lambda: recent)
+        )
+    assert result.contradicts_old_map is not slips
+    assert result.status is TrackingStatus.TRACKED
+    assert np.all(np.abs(se2.between(pose, result.pose)) < [0.03, 0.03, 0.02])
 
 
 def test_a_sudden_turn_in_a_round_room_is_found_without_odometry() -> None:
