@@ -9,6 +9,7 @@ stored, the motion takes the place of the prior.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -102,8 +103,24 @@ class PartGauge:
 
 
 def move_group(mapper: Mapper, keyframe: int, motion: se2.Pose) -> None:
-    """Move the group of a keyframe by a `motion` [x, y, heading] in the map; only odometry connects it with others."""
-    _rebuild(mapper, keyframe, motion, lambda _: False, [])
+    """Move the group of a keyframe by a `motion` [x, y, heading] in the map; only odometry connects it with others.
+
+    Odometry has failed on the way, by as much as the motion says: as after a slip, that is added to its covariance.
+    """
+    inside = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count), keyframe)
+
+    def leads_across(factor: Factor) -> bool:
+        return factor.kind is FactorKind.ODOMETRY and bool(inside[factor.first] != inside[factor.second])
+
+    across = [factor for factor in mapper.graph.solver.sorted_factors() if leads_across(factor)]
+    poses = np.where(inside[:, None], se2.compose(motion, mapper.keyframe_poses), mapper.keyframe_poses)
+    _rebuild(mapper, keyframe, motion, leads_across, [_failed(factor, poses) for factor in across])
+
+
+def _failed(factor: Factor, poses: Floats) -> Factor:
+    """Return odometry's motion with a covariance that contains its error if keyframes are at `poses` (k, 3)."""
+    error = se2.between(factor.measured, se2.between(poses[factor.first], poses[factor.second]))
+    return replace(factor, covariance=factor.covariance + np.diag(error**2))
 
 
 def motion_to_part(mapper: Mapper, first: int) -> Factor:

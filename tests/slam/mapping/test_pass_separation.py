@@ -52,7 +52,7 @@ def drive(mapper: Mapper) -> list[Segments]:
         mapper.refresh(mapper.add_keyframe(pose, step, segments, corners, association, local))
         views.append(segments)
     mapper.solve_waiting()
-    mapper.graph.update_until_converged()
+    mapper.graph.update_until_converged(30)  # odometry is far off, so that it takes many steps
     mapper.read_back_all()
     return views
 
