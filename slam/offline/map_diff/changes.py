@@ -15,6 +15,7 @@ from ...geometry.segments import Floats, Integers
 from ...mapping.map_features import MapWalls
 from ...measuring.wall_map import WallMap
 from ..wall_alignment import MIN_SHARED, common_walls
+from .end_shifts import EndShift, find_end_shifts
 from .movement import Movements, find_movements
 from .sight import SeenThrough, Sightings, find_sightings
 from .surveys import Survey, locate
@@ -36,6 +37,7 @@ class ChangeKind(StrEnum):
     """Kinds of changes.
 
     MOVED            in both maps, at significantly different places
+    END_MOVED        an end of a wall, such as the jamb of a door, is at significantly different places along the wall
     GONE             scans of the new map have seen through it
     NEW              scans of the old map have seen through the place where it is now
     NOT_SEEN_AGAIN   in the old map only, but no scan of the new map shows that it is gone
@@ -43,13 +45,14 @@ class ChangeKind(StrEnum):
     """
 
     MOVED = "moved"
+    END_MOVED = "end moved"
     GONE = "gone"
     NEW = "new"
     NOT_SEEN_AGAIN = "not seen again"
     NOT_SEEN_BEFORE = "not seen before"
 
 
-DIFFERENCES = (ChangeKind.MOVED, ChangeKind.GONE, ChangeKind.NEW)
+DIFFERENCES = (ChangeKind.MOVED, ChangeKind.END_MOVED, ChangeKind.GONE, ChangeKind.NEW)
 """Kinds that show a difference of the building; the others show one of the drives."""
 
 
@@ -59,9 +62,11 @@ class Change:
 
     kind         what has changed
     old, new     identities of the wall in both maps; None in a map that does not have it
-    stretches    (k, 2, 2) end points in the old map's frame: of the old wall, unless it is in the new map only
+    stretches    (k, 2, 2) end points in the old map's frame: of the old wall, unless it is in the new map only; of an
+                 end that has moved, its old and its new place
     p_value      probability of such evidence without a change; NaN without evidence
-    shift, turn  of a moved wall: metres to the left of the old one, and radians; else NaN
+    shift, turn  of a moved wall: metres to the left of the old one, and radians; of an end that has moved: metres by
+                 which the wall is longer, and NaN; else NaN
     sigma        (2,) standard deviations of both
     through      scans that have seen through it
     seen         scans that have seen it
@@ -130,6 +135,7 @@ def find_changes(
     in_new = find_sightings(new, old, se2.inverse(motion))
     candidates = [
         *_moved(old.wall_map, new.wall_map, movements),
+        *_ends_moved(old.wall_map, new.wall_map, find_end_shifts(old, new, movements)),
         *_seen_through(ChangeKind.GONE, old.wall_map, in_old, np.zeros(3)),
         *_seen_through(ChangeKind.NEW, new.wall_map, in_new, motion),
     ]
@@ -199,6 +205,23 @@ def _moved(old: WallMap, new: WallMap, movements: Movements) -> list[Change]:
             (float(movements.sigma[k, 0]), float(movements.sigma[k, 1])),
         )
         for k, (one, two) in enumerate(movements.pairs.tolist())
+    ]
+
+
+def _ends_moved(old: WallMap, new: WallMap, shifts: list[EndShift]) -> list[Change]:
+    return [
+        Change(
+            ChangeKind.END_MOVED,
+            int(old.walls.identity[shift.walls[0]]),
+            int(new.walls.identity[shift.walls[1]]),
+            np.array([[old.point(shift.walls[0], along) for along in shift.span]]),
+            shift.p_value,
+            shift.longer,
+            sigma=(shift.sigma, math.nan),
+            through=shift.through,
+            seen=shift.seen,
+        )
+        for shift in shifts
     ]
 
 

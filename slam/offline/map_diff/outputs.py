@@ -64,6 +64,12 @@ def _line(change: Change) -> str:
         which = f"wall {change.old}, now {change.new}, {_place(change)}"
         text = f"{which}: {abs(shift):.1f} mm ± {sigmas[0]:.1f} mm to its {side}"
         return f"moved: {text}, turned by {turn:.2f}° ± {sigmas[1]:.2f}°, {_probability(change)}"
+    if change.kind is ChangeKind.END_MOVED:
+        (x0, y0), (x1, y1) = change.stretches[0].tolist()
+        which = f"of wall {change.old}, now {change.new}, from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+        by = "longer" if change.shift > 0.0 else "shorter"
+        text = f"{by} by {1e3 * abs(change.shift):.0f} mm ± {1e3 * change.sigma[0]:.0f} mm"
+        return f"end moved: {which}: {text}, {_probability(change)}"
     length = math.hypot(*(change.stretches[0, 1] - change.stretches[0, 0]))
     place = f"{length:.1f} m of wall {_named(change)} {_place(change)}"
     votes = f"seen through by {change.through} scans, seen by {change.seen}"

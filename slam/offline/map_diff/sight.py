@@ -8,7 +8,6 @@ hypergeometric distribution (Fisher's exact test).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -22,6 +21,7 @@ from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, MIN_DEPTH_SIGMAS
 from ...mapping.wall_cells import WALL_CELL
 from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
 from ...measuring.wall_map import WallMap
+from .exact_test import Votes, exact_p_value
 from .surveys import Survey
 
 
@@ -45,12 +45,7 @@ class SeenThrough:
     @property
     def p_value(self) -> float:
         """Probability that so many scans of the other drive see through it, or more, if nothing has changed."""
-        through, votes, own = int(self.through + self.own[0]), int(self.through + self.seen), int(sum(self.own))
-        ways, tail = math.comb(votes, self.through) * math.comb(own, int(self.own[0])), 0
-        for k in range(self.through, min(votes, through) + 1):
-            tail += ways
-            ways = ways * (votes - k) * (through - k) // ((k + 1) * (own - through + k + 1))
-        return tail / math.comb(votes + own, through)
+        return exact_p_value(Votes(self.through, self.seen), Votes(*self.own))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
