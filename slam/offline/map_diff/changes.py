@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -17,7 +17,7 @@ from ...measuring.wall_map import WallMap
 from ..wall_alignment import MIN_SHARED, common_walls
 from .end_shifts import EndShift, find_end_shifts
 from .movement import Movements, find_movements
-from .sight import SeenThrough, Sightings, find_sightings
+from .sight import SeenThrough, Sightings, covered_share, find_sightings
 from .surveys import Survey, locate
 
 # Metres across and radians within which a wall that has no counterpart may be one that was moved: beyond, it is one
@@ -26,8 +26,8 @@ MAX_SHIFT, MAX_TURN = 0.5, math.radians(10.0)
 # Metres across and radians within which walls are the same until a test shows that one has moved.
 # Origin: chosen, as the last gate of the alignment; not measured.
 SAME_SHIFT, SAME_TURN = 0.2, math.radians(4.0)
-
-
+# Share of a stretch that a line covers if it bridges a door. Origin: chosen, most of it; not measured.
+MIN_BRIDGED = 0.5
 # Walls that are known not to have moved from which the motion between the maps follows. Origin: definition, three
 # determine it.
 MIN_UNMOVED = 3
@@ -133,9 +133,11 @@ def find_changes(
     motion = movements.motion
     in_old = find_sightings(old, new, motion)
     in_new = find_sightings(new, old, se2.inverse(motion))
+    if old.bridging:
+        in_old = _without_bridged(in_old, old.wall_map, new.wall_map, motion)
     candidates = [
         *_moved(old.wall_map, new.wall_map, movements),
-        *_ends_moved(old.wall_map, new.wall_map, find_end_shifts(old, new, movements)),
+        *_ends_moved(old.wall_map, new.wall_map, find_end_shifts(old, new, movements) if old.scanned else []),
         *_seen_through(ChangeKind.GONE, old.wall_map, in_old, np.zeros(3)),
         *_seen_through(ChangeKind.NEW, new.wall_map, in_new, motion),
     ]
@@ -154,6 +156,13 @@ def find_changes(
     ]
     moved = sum(change.kind is ChangeKind.MOVED for change in found)
     return MapDiff([*found, *unseen], motion, len(paired) - moved, tests, movements.scale)
+
+
+def _without_bridged(sightings: Sightings, old: WallMap, new: WallMap, motion: se2.Pose) -> Sightings:
+    """Return the sightings without stretches that both maps cover with a line, as they do across doors."""
+    gate = SAME_SHIFT, SAME_TURN
+    kept = [one for one in sightings.stretches if covered_share(old, one, new, motion, gate) < MIN_BRIDGED]
+    return replace(sightings, stretches=kept)
 
 
 def find_pairs(old: MapWalls, new: MapWalls, motion: se2.Pose) -> Integers:

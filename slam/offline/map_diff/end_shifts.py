@@ -7,6 +7,7 @@ is the larger one of both (intersection-union test).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -53,31 +54,66 @@ class EndShift:
 def find_end_shifts(old: Survey, new: Survey, movements: Movements) -> list[EndShift]:
     """Return the ends that both drives have seen of the walls that the maps have in common."""
     pairs = movements.pairs
-    matched = _match(find_ends(old, pairs[:, 0]), find_ends(new, pairs[:, 1]), old, new, movements)
+    maps = _TwoMaps(old, new, movements)
+    matched = _match(find_ends(old, pairs[:, 0]), find_ends(new, pairs[:, 1]), maps)
     if not matched:
         return []
-    differences = np.array([_difference(*ends, old, new, movements) for ends in matched])
+    differences = np.array([maps.difference(*ends) for ends in matched])
     squared = np.sort(differences[:, 0] ** 2 / differences[:, 1])
     typical = float(squared[(len(squared) - 1) // 2]) if len(squared) >= MIN_TYPICAL else 0.0
-    scale = max(typical / MEDIAN_CHI_SQUARE, 1.0)
-    return [
-        _shift(ends, old, new, movements, float(value), float(np.sqrt(scale * variance)), float(freedom))
-        for ends, (value, variance, freedom) in zip(matched, differences, strict=True)
-    ]
+    differences[:, 1] *= max(typical / MEDIAN_CHI_SQUARE, 1.0)
+    return [_shift(*ends, maps, *row) for ends, row in zip(matched, differences.tolist(), strict=True)]
 
 
-def _match(
-    before: Sequence[WallEnd], after: Sequence[WallEnd], old: Survey, new: Survey, movements: Movements
-) -> list[tuple[WallEnd, WallEnd]]:
+class _TwoMaps:
+    """Two aligned maps, in which ends of walls are compared."""
+
+    def __init__(self, old: Survey, new: Survey, movements: Movements) -> None:
+        self.old, self.new, self.movements = old, new, movements
+        self._levers_old = levers(old.wall_map, movements.pairs[:, 0], movements.points[:, 0])
+        self._levers_new = levers(new.wall_map, movements.pairs[:, 1], movements.points[:, 1])
+
+    def along_old(self, end: WallEnd, wall: int) -> float:
+        """Return the metres along a wall of the old map of an end in the new map."""
+        return self._along_old(end, wall, self.movements.motion)
+
+    def along_new(self, end: WallEnd, wall: int) -> float:
+        """Return the metres along a wall of the new map of an end in the old map."""
+        point = self.old.wall_map.point(end.wall, end.along)
+        return self.new.wall_map.along(wall, se2.transform(se2.inverse(self.movements.motion), point))
+
+    def difference(self, before: WallEnd, after: WallEnd) -> tuple[float, float, float]:
+        """Return by how many metres an end is farther along the old wall in the new map, the variance, and its dof.
+
+        Both maps' walls determine the place of the end, by the poses of the scans, and the motion between the maps.
+        """
+
+        def shifted(change: Floats) -> Floats:
+            motion = se2.compose(self.movements.motion, change)
+            return np.array([self._along_old(after, before.wall, motion) - before.along])
+
+        by_motion = numerical_jacobian(shifted)[0] @ self.movements.gain
+        of_maps = self.old.wall_map.sigma(before.gradient - by_motion @ self._levers_old) ** 2
+        of_maps += self.new.wall_map.sigma(after.gradient - by_motion @ self._levers_new) ** 2
+        variance = self.movements.scale * of_maps + sum(end.pose + end.scatter for end in (before, after))
+        # Welch and Satterthwaite: only the scatter is estimated from few values
+        estimated = sum(end.scatter**2 / (end.scans - 1) for end in (before, after))
+        return float(shifted(np.zeros(3))[0]), variance, variance**2 / max(estimated, np.finfo(float).tiny)
+
+    def _along_old(self, end: WallEnd, wall: int, motion: se2.Pose) -> float:
+        return self.old.wall_map.along(wall, se2.transform(motion, self.new.wall_map.point(end.wall, end.along)))
+
+
+def _match(before: Sequence[WallEnd], after: Sequence[WallEnd], maps: _TwoMaps) -> list[tuple[WallEnd, WallEnd]]:
     """Return the pairs of ends of the same wall and side that are mutually nearest, within REACH."""
-    partner = dict(movements.pairs.tolist())
+    partner = dict(maps.movements.pairs.tolist())
     matched = []
     for wall, side in dict.fromkeys((end.wall, end.side) for end in before):
         ours = [end for end in before if (end.wall, end.side) == (wall, side)]
         theirs = [end for end in after if (end.wall, end.side) == (partner[wall], side)]
         if not theirs:
             continue
-        there = np.array([_along_old(end, wall, old, new, movements.motion) for end in theirs])
+        there = np.array([maps.along_old(end, wall) for end in theirs])
         apart = np.abs(there - np.array([end.along for end in ours])[:, None])
         nearest, back = apart.argmin(axis=1), apart.argmin(axis=0)
         matched += [
@@ -86,59 +122,18 @@ def _match(
     return matched
 
 
-def _along_old(end: WallEnd, wall: int, old: Survey, new: Survey, motion: se2.Pose) -> float:
-    """Return the metres along a wall of the old map of an end in the new map."""
-    return old.wall_map.along(wall, se2.transform(motion, new.wall_map.point(end.wall, end.along)))
-
-
-def _difference(
-    before: WallEnd, after: WallEnd, old: Survey, new: Survey, movements: Movements
-) -> tuple[float, float, float]:
-    """Return by how many metres an end is farther along the old wall in the new map, the variance, and its dof.
-
-    Both maps' walls determine the place of the end, by the poses of the scans, and the motion between the maps.
-    """
-
-    def shifted(change: Floats) -> Floats:
-        motion = se2.compose(movements.motion, change)
-        return np.array([_along_old(after, before.wall, old, new, motion) - before.along])
-
-    by_motion = numerical_jacobian(shifted)[0] @ movements.gain
-    levers_old = levers(old.wall_map, movements.pairs[:, 0], movements.points[:, 0])
-    levers_new = levers(new.wall_map, movements.pairs[:, 1], movements.points[:, 1])
-    of_maps = old.wall_map.sigma(before.gradient - by_motion @ levers_old) ** 2
-    of_maps += new.wall_map.sigma(after.gradient - by_motion @ levers_new) ** 2
-    variance = movements.scale * of_maps + before.pose + after.pose + before.scatter + after.scatter
-    # Welch and Satterthwaite: only the scatter is estimated from few values
-    estimated = sum(end.scatter**2 / (end.scans - 1) for end in (before, after))
-    return float(shifted(np.zeros(3))[0]), variance, variance**2 / max(estimated, np.finfo(float).tiny)
-
-
-def _shift(
-    ends: tuple[WallEnd, WallEnd],
-    old: Survey,
-    new: Survey,
-    movements: Movements,
-    value: float,
-    sigma: float,
-    freedom: float,
-) -> EndShift:
+def _shift(before: WallEnd, after: WallEnd, maps: _TwoMaps, value: float, variance: float, freedom: float) -> EndShift:
     """Return a pair of ends with the p-value of its shift."""
     from scipy.special import stdtr  # only here: it loads slowly
 
-    before, after = ends
-    there = _along_old(after, before.wall, old, new, movements.motion)
-    in_old = np.sort([before.along, there])
-    begin = new.wall_map.along(
-        after.wall, se2.transform(se2.inverse(movements.motion), old.wall_map.point(before.wall, before.along))
-    )
-    in_new = np.sort([begin, after.along])
-    votes_old, votes_new = _votes(old, before.wall, in_old), _votes(new, after.wall, in_new)
-    longer = value * before.side
+    sigma, longer = math.sqrt(variance), value * before.side
+    there, begin = maps.along_old(after, before.wall), maps.along_new(before, after.wall)
+    votes_old = _votes(maps.old, before.wall, np.sort([before.along, there]))
+    votes_new = _votes(maps.new, after.wall, np.sort([begin, after.along]))
     shorter, other = (votes_old, votes_new) if longer > 0.0 else (votes_new, votes_old)
     p_value = max(2.0 * float(stdtr(freedom, -abs(value) / sigma)), exact_p_value(shorter, other))
-    walls = before.wall, after.wall
-    return EndShift(walls, (before.along, there), longer, sigma, p_value, shorter.through, shorter.seen)
+    walls, span = (before.wall, after.wall), (before.along, there)
+    return EndShift(walls, span, longer, sigma, p_value, shorter.through, shorter.seen)
 
 
 def _votes(survey: Survey, wall: int, span: Floats) -> Votes:

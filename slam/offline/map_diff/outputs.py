@@ -166,13 +166,17 @@ def _walls(diff: MapDiff, old: WallMap, new: WallMap) -> Iterator[str]:
 
 
 def _differences(diff: MapDiff, new: WallMap) -> Iterator[str]:
-    """Yield the old places of walls in one colour and the new ones in the other; of moved walls the shift as text."""
+    """Yield the old places of walls in one colour and the new ones in the other; of moved walls the shift as text.
+
+    Of a moved end, the stretch by which the wall is longer or shorter is drawn.
+    """
     in_old, wall = _in_old(new, diff.motion), new.walls.piece_points()[1]
     for change in diff.changes:
         if change.kind not in DIFFERENCES:
             continue
+        is_new = change.kind is ChangeKind.NEW or (change.kind is ChangeKind.END_MOVED and change.shift > 0.0)
         for ends in change.stretches:
-            yield _path("new" if change.kind is ChangeKind.NEW else "old", ends, _line(change))
+            yield _path("new" if is_new else "old", ends, _line(change))
         if change.kind is ChangeKind.MOVED:
             for ends in in_old[new.walls.identity[wall] == change.new]:
                 yield _path("new", ends, _line(change))

@@ -24,6 +24,8 @@ from ...measuring.wall_map import WallMap
 from .exact_test import Votes, exact_p_value
 from .surveys import Survey
 
+Gate = tuple[float, float]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenThrough:
@@ -80,6 +82,23 @@ def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings
     ]
     known = cells.covered & (through + seen > 0)
     return Sightings(stretches, cells.lengths(known & (seen >= through)), cells.lengths(known))
+
+
+def covered_share(wall_map: WallMap, stretch: SeenThrough, other: WallMap, motion: se2.Pose, gate: Gate) -> float:
+    """Return the share of a stretch that a wall of another map, which is at `motion`, covers; 1 is all of it.
+
+    gate  metres across and radians within which two walls are the same
+    """
+    frame = wall_map.walls.frame[stretch.wall]
+    low, high = stretch.span
+    relative = se2.between(frame, se2.compose(motion, other.walls.frame)).reshape(-1, 3)
+    offset = relative[:, 1] + (0.5 * (low + high) - relative[:, 0]) * np.tan(relative[:, 2])
+    share = 0.0
+    for row in np.flatnonzero((np.abs(offset) < gate[0]) & (np.abs(relative[:, 2]) < gate[1])).tolist():
+        pieces = other.walls.pieces[row] + relative[row, 0]
+        common = np.minimum(pieces[:, 1], high) - np.maximum(pieces[:, 0], low)
+        share = max(share, float(np.maximum(common, 0.0).sum()) / (high - low))
+    return share
 
 
 class _Cells:

@@ -233,6 +233,10 @@ def test_drives_through_an_office_with_and_without_changes(wclm: Any, tmp_path: 
         assert wclm("run", f"sim:{spec}&duration=100", "--out", name, "--no-review").exit_code == 0
     same = wclm("diff", "a", "b")
     assert same.exit_code == 0, same.output
+    exported = wclm("map", "a", "--format", "svg")
+    assert exported.exit_code == 0, exported.output
+    itself = wclm("diff", "a/map.svg", "a")  # its lines cover doors that the scans have seen through
+    assert itself.exit_code == 0, itself.output
     different = wclm("diff", "a", "c", "--svg", "a.svg", "--geojson", "a.geojson")
     assert different.exit_code == 1, different.output
     walls = [
