@@ -43,6 +43,6 @@ def draw_changes(path: Path, old: Path, new: Path) -> None:
     from ...offline.map_diff import compare, survey_session
     from ...offline.map_diff.outputs import write_diff_svg
 
-    surveys = [survey_session(run, read_session(run)) for run in (old, new)]
-    found = compare(*surveys, FALSE_DISCOVERY_RATE)
-    write_diff_svg(path, found, surveys[0].wall_map, surveys[1].wall_map)
+    before, after = (survey_session(run, read_session(run)) for run in (old, new))
+    found = compare(before, after, FALSE_DISCOVERY_RATE)
+    write_diff_svg(path, found, before.wall_map, after.wall_map)
