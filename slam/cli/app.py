@@ -95,7 +95,8 @@ def wclm(
 ) -> None:
     """Map buildings with a 2-D lidar and wheel odometry: walls and corners with covariances.
 
-    To start, [bold]wclm demo[/bold] maps a simulated museum.
+    To start, [bold]wclm demo[/bold] maps a simulated museum. A session is the output directory of a run: the map, and
+    what is needed to continue, refine or correct it.
     """
 
 

@@ -46,7 +46,7 @@ SessionArgument = Annotated[Path, typer.Argument(help="Output directory of `wclm
 WorldArgument = Annotated[str, typer.Argument(help="Name of a built-in world, or a TOML file.")]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="GROUP.KEY=VALUE", help="One setting, e.g. lidar.sigma_range=0.02; can be repeated."),
+    typer.Option("--set", metavar="GROUP.KEY=VALUE", help="One setting, e.g. lidar.delay=0.1; can be repeated."),
 ]
 ConfigOption = Annotated[Path | None, typer.Option("--config", metavar="FILE.toml", help="Settings file.")]
 OutOption = Annotated[Path, typer.Option("--out", metavar="DIR", help="Output directory; created if missing.")]

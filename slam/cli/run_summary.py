@@ -188,7 +188,7 @@ def _device(device: dict[str, Any]) -> str:
 
 def _time(summary: dict[str, Any]) -> str:
     factor = summary["real_time_factor"]
-    speed = f"{factor:.0f} times faster than real time" if factor >= 2 else f"{factor:.2f} times real time"
+    speed = f"{factor:.0f} times faster than real time" if factor >= 2 else f"{factor:.2f} times as fast as real time"
     return (
         f"{summary['slam_seconds']:.1f} s for SLAM, {speed}; {summary['wall_seconds']:.1f} s in total, "
         f"{summary['peak_memory_mib']:.0f} MiB"

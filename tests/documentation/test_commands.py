@@ -29,6 +29,8 @@ OTHER_PROGRAMS = {
 """Other commands, by their names without a folder; those of `make` that runs here must be targets."""
 SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
 """Smaller values for options that determine the duration of benchmarks."""
+OF_SEVERAL_DRIVES = ("docs/changes.md", "docs/merge.md")
+"""Pages with blocks that need recordings of two drives through one building."""
 command_line: Any = cache(get_command)
 MENTIONS = mentions()
 WITH_BLOCKS = sorted({block.page for block in blocks()})
@@ -114,6 +116,22 @@ def test_slow_blocks_run(block: Block, tmp_path: Path, monkeypatch: pytest.Monke
     for words in block.commands():
         shorter = [SHORTER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
         Reader(tmp_path).run(shorter)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("page", OF_SEVERAL_DRIVES)
+def test_blocks_with_several_drives_run(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run them with drives of 100 s through the simulated office."""
+    monkeypatch.chdir(tmp_path)
+    for seed, name in enumerate(("monday", "tuesday"), start=1):
+        words = ["wclm", "simulate", "office", f"{name}.mcap", "--seed", str(seed), "--duration", "100"]
+        Reader(tmp_path).run(words)
+    for block in blocks():
+        if block.page == page and block.needs == "drives":
+            for words in block.commands():
+                differs = words[1] == "diff"  # the other drive may have seen a difference
+                Reader(tmp_path).run(words, statuses=(0, 1) if differs else (0,))
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
@@ -20,6 +21,7 @@ from ...io.output_dir import KEYFRAMES, PICTURE
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from ..output_files import make_directory
+from .demo_drawings import draw_changes, draw_grid, draw_measurements
 
 OFFICE = "sim:office"
 SCAN = 420
@@ -46,6 +48,14 @@ RECORDINGS = {
     "csail": "MIT CSAIL, third floor",
 }
 """Public recordings (datasets/catalogue.toml) and their titles; files NAME/NAME.clf in the directory WCLM_DATASETS."""
+DRAWINGS: dict[str, dict[str, Callable[[Path, Path], None]]] = {
+    "intel": {"intel-grid.png": draw_grid},
+    "csail": {"csail-measurements.svg": draw_measurements},
+}
+"""Drawings of the same runs: files, and functions that write them from the results of the run."""
+CHANGES = "wean", "wean-2", "wean-3"
+"""Directory and names of two recordings along the same corridor."""
+CHANGES_DRAWING = "wean-changes.svg"
 PICTURE_DOTS_PER_INCH = 115
 """Resolution of the pictures; they are about 1300 pixels wide."""
 COLOURS, SHADES = 200, 256
@@ -60,11 +70,13 @@ class PictureSet(NamedTuple):
     files   names of the files
     make    function that writes them to a directory; its second argument is a temporary directory
     shaded  True if there are large translucent areas, whose shades matter more than rare colours
+    needs   recordings that the pictures are made from
     """
 
     files: tuple[str, ...]
     make: Callable[[Path, Path], None]
     shaded: bool = False
+    needs: tuple[Path, ...] = ()
 
 
 class ClosureRecorder:
@@ -121,17 +133,24 @@ class EventRecorder:
 def picture_sets(datasets: Path | None) -> list[PictureSet]:
     """Return all picture sets that can be made; those of recordings if `datasets` has them."""
     return [
+        pictures
+        for pictures in all_picture_sets(datasets or Path())
+        if not pictures.needs or (datasets is not None and all(file.is_file() for file in pictures.needs))
+    ]
+
+
+def all_picture_sets(datasets: Path) -> list[PictureSet]:
+    """Return all picture sets, whether or not the directory `datasets` has the recordings that they need."""
+    first, second = (datasets / CHANGES[0] / f"{name}.clf" for name in CHANGES[1:])
+    return [
         PictureSet(("inversion.png", "fit.png", "parameters.png", "corners.png"), _mathematics),
         PictureSet(("scan.png",), _scan),
         PictureSet(("honesty.png",), _office),
         PictureSet(("museum.png", "loop.png"), _loop),
         PictureSet(("corridors.png",), _corridors),
         *(_symptom(name, *symptom) for name, symptom in SYMPTOMS.items()),
-        *(
-            _recorded(name, file)
-            for name in RECORDINGS
-            if datasets is not None and (file := datasets / name / f"{name}.clf").is_file()
-        ),
+        *(_recorded(name, datasets / name / f"{name}.clf") for name in RECORDINGS),
+        PictureSet((CHANGES_DRAWING,), partial(_changes, (first, second)), needs=(first, second)),
     ]
 
 
@@ -145,7 +164,8 @@ def write_pictures(directory: Path) -> Iterator[Path]:
         with TemporaryDirectory() as scratch, matplotlib.rc_context({"savefig.dpi": PICTURE_DOTS_PER_INCH}):
             pictures.make(directory, Path(scratch))
         for file in pictures.files:
-            reduce_palette(directory / file, shaded=pictures.shaded)
+            if file.endswith(".png"):
+                reduce_palette(directory / file, shaded=pictures.shaded)
             yield directory / file
 
 
@@ -225,8 +245,19 @@ def _recorded(name: str, recording: Path) -> PictureSet:
     def make(directory: Path, scratch: Path) -> None:
         _map(str(recording), scratch / "out", title=RECORDINGS[name])
         (directory / f"{name}.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
+        for file, draw in drawings.items():
+            draw(directory / file, scratch / "out")
 
-    return PictureSet((f"{name}.png",), make)
+    drawings = DRAWINGS.get(name, {})
+    return PictureSet((f"{name}.png", *drawings), make, needs=(recording,))
+
+
+def _changes(recordings: tuple[Path, Path], directory: Path, scratch: Path) -> None:
+    """Draw the differences between the maps of two recordings."""
+    outs = scratch / "old", scratch / "new"
+    for recording, out in zip(recordings, outs, strict=True):
+        _map(str(recording), out)
+    draw_changes(directory / CHANGES_DRAWING, *outs)
 
 
 def _map(

@@ -44,10 +44,11 @@ def diff(
 ) -> None:
     """Compare two maps of one building: walls and corners that have moved, are gone or are new.
 
-    Both maps are aligned by the walls that they have in common. A wall has moved if its new place is significantly
-    different, given the joint covariances of both maps; it is gone if scans of the new run have seen through it, and
-    new if scans of the old run have seen through its place. Walls that were not seen again are listed separately. The
-    exit status is 0 if there is no such change, 1 if there is one, and 2 after an error.
+    Both maps are aligned by the walls that they have in common. A wall, or an end of it such as the jamb of a door, has
+    moved if its new place is significantly different, given the joint covariances of both maps. A wall is gone if scans
+    of the new run have seen through it, and new if scans of the old run have seen through its place. Walls that were
+    not seen again are listed separately. The exit status is 0 if there is no such change, 1 if there is one, and 2
+    after an error.
 
     Example: [bold]wclm diff monday tuesday --svg changes.svg[/bold]
     """

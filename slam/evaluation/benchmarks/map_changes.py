@@ -96,6 +96,10 @@ def _change_doors(
     return change
 
 
+def _shift_doors(distance: float) -> Callable[[WorldFile], tuple[WorldFile, Areas]]:
+    return _change_doors(lambda door: [(door[0] + distance, door[1])])
+
+
 CONDITIONS: dict[str, ChangeCondition] = {
     "unchanged": ChangeCondition("nothing has changed", _unchanged),
     "moved-2cm": ChangeCondition("10 boxes moved by 2 cm", _move_boxes(0.02)),
@@ -104,9 +108,9 @@ CONDITIONS: dict[str, ChangeCondition] = {
     "moved-20cm": ChangeCondition("10 boxes moved by 20 cm", _move_boxes(0.2)),
     "added": ChangeCondition("6 boxes added", _add_boxes),
     "closed-doors": ChangeCondition("2 doors closed", _change_doors(lambda door: [])),
-    "shifted-doors": ChangeCondition(
-        "2 doors shifted by 20 cm along the wall", _change_doors(lambda d: [(d[0] + 0.2, d[1])])
-    ),
+    "shifted-5cm": ChangeCondition("2 doors shifted by 5 cm along the wall", _shift_doors(0.05)),
+    "shifted-10cm": ChangeCondition("2 doors shifted by 10 cm along the wall", _shift_doors(0.1)),
+    "shifted-20cm": ChangeCondition("2 doors shifted by 20 cm along the wall", _shift_doors(0.2)),
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -15,8 +15,9 @@ from ...geometry.segments import Floats, Integers
 from ...mapping.map_features import MapWalls
 from ...measuring.wall_map import WallMap
 from ..wall_alignment import MIN_SHARED, common_walls
+from .end_shifts import EndShift, find_end_shifts
 from .movement import Movements, find_movements
-from .sight import SeenThrough, Sightings, find_sightings
+from .sight import SeenThrough, Sightings, covered_share, find_sightings
 from .surveys import Survey, locate
 
 # Metres across and radians within which a wall that has no counterpart may be one that was moved: beyond, it is one
@@ -25,8 +26,8 @@ MAX_SHIFT, MAX_TURN = 0.5, math.radians(10.0)
 # Metres across and radians within which walls are the same until a test shows that one has moved.
 # Origin: chosen, as the last gate of the alignment; not measured.
 SAME_SHIFT, SAME_TURN = 0.2, math.radians(4.0)
-
-
+# Share of a stretch that a line covers if it bridges a door. Origin: chosen, most of it; not measured.
+MIN_BRIDGED = 0.5
 # Walls that are known not to have moved from which the motion between the maps follows. Origin: definition, three
 # determine it.
 MIN_UNMOVED = 3
@@ -36,6 +37,7 @@ class ChangeKind(StrEnum):
     """Kinds of changes.
 
     MOVED            in both maps, at significantly different places
+    END_MOVED        an end of a wall, such as the jamb of a door, is at significantly different places along the wall
     GONE             scans of the new map have seen through it
     NEW              scans of the old map have seen through the place where it is now
     NOT_SEEN_AGAIN   in the old map only, but no scan of the new map shows that it is gone
@@ -43,13 +45,14 @@ class ChangeKind(StrEnum):
     """
 
     MOVED = "moved"
+    END_MOVED = "end moved"
     GONE = "gone"
     NEW = "new"
     NOT_SEEN_AGAIN = "not seen again"
     NOT_SEEN_BEFORE = "not seen before"
 
 
-DIFFERENCES = (ChangeKind.MOVED, ChangeKind.GONE, ChangeKind.NEW)
+DIFFERENCES = (ChangeKind.MOVED, ChangeKind.END_MOVED, ChangeKind.GONE, ChangeKind.NEW)
 """Kinds that show a difference of the building; the others show one of the drives."""
 
 
@@ -59,9 +62,11 @@ class Change:
 
     kind         what has changed
     old, new     identities of the wall in both maps; None in a map that does not have it
-    stretches    (k, 2, 2) end points in the old map's frame: of the old wall, unless it is in the new map only
+    stretches    (k, 2, 2) end points in the old map's frame: of the old wall, unless it is in the new map only; of an
+                 end that has moved, its old and its new place
     p_value      probability of such evidence without a change; NaN without evidence
-    shift, turn  of a moved wall: metres to the left of the old one, and radians; else NaN
+    shift, turn  of a moved wall: metres to the left of the old one, and radians; of an end that has moved: metres by
+                 which the wall is longer, and NaN; else NaN
     sigma        (2,) standard deviations of both
     through      scans that have seen through it
     seen         scans that have seen it
@@ -128,8 +133,11 @@ def find_changes(
     motion = movements.motion
     in_old = find_sightings(old, new, motion)
     in_new = find_sightings(new, old, se2.inverse(motion))
+    if old.bridging:
+        in_old = _without_bridged(in_old, old.wall_map, new.wall_map, motion)
     candidates = [
         *_moved(old.wall_map, new.wall_map, movements),
+        *_ends_moved(old.wall_map, new.wall_map, find_end_shifts(old, new, movements) if old.scanned else []),
         *_seen_through(ChangeKind.GONE, old.wall_map, in_old, np.zeros(3)),
         *_seen_through(ChangeKind.NEW, new.wall_map, in_new, motion),
     ]
@@ -148,6 +156,13 @@ def find_changes(
     ]
     moved = sum(change.kind is ChangeKind.MOVED for change in found)
     return MapDiff([*found, *unseen], motion, len(paired) - moved, tests, movements.scale)
+
+
+def _without_bridged(sightings: Sightings, old: WallMap, new: WallMap, motion: se2.Pose) -> Sightings:
+    """Return the sightings without stretches that both maps cover with a line, as they do across doors."""
+    gate = SAME_SHIFT, SAME_TURN
+    kept = [one for one in sightings.stretches if covered_share(old, one, new, motion, gate) < MIN_BRIDGED]
+    return replace(sightings, stretches=kept)
 
 
 def find_pairs(old: MapWalls, new: MapWalls, motion: se2.Pose) -> Integers:
@@ -199,6 +214,23 @@ def _moved(old: WallMap, new: WallMap, movements: Movements) -> list[Change]:
             (float(movements.sigma[k, 0]), float(movements.sigma[k, 1])),
         )
         for k, (one, two) in enumerate(movements.pairs.tolist())
+    ]
+
+
+def _ends_moved(old: WallMap, new: WallMap, shifts: list[EndShift]) -> list[Change]:
+    return [
+        Change(
+            ChangeKind.END_MOVED,
+            int(old.walls.identity[shift.walls[0]]),
+            int(new.walls.identity[shift.walls[1]]),
+            np.array([[old.point(shift.walls[0], along) for along in shift.span]]),
+            shift.p_value,
+            shift.longer,
+            sigma=(shift.sigma, math.nan),
+            through=shift.through,
+            seen=shift.seen,
+        )
+        for shift in shifts
     ]
 
 

@@ -39,6 +39,8 @@ class Movements:
     p_value   (n,) probability of such a difference or a larger one if the wall has not moved
     motion    (3,) pose of the new map in the old one
     scale     factor of all variances: 1, or more if the typical difference is larger than stated
+    points    (n, 2) metres along both walls, from their frames, of the middle of their common part
+    gain      (3, 2 n) of the motion by the differences of offset, there, and heading of all pairs
     """
 
     pairs: Integers
@@ -48,6 +50,8 @@ class Movements:
     p_value: Floats
     motion: se2.Pose
     scale: float
+    points: Floats
+    gain: Floats
 
 
 def find_movements(
@@ -81,7 +85,7 @@ def find_movements(
         if unmoved is not None or (now == still).all() or 2 * now.sum() <= len(now):
             break
         still = now
-    return Movements(pairs, rest[::2], rest[1::2], np.sqrt(scale) * sigma, p_value, motion, scale)
+    return Movements(pairs, rest[::2], rest[1::2], np.sqrt(scale) * sigma, p_value, motion, scale, points, gain)
 
 
 def _squared(rest: Floats, covariance: Floats) -> tuple[Floats, Floats]:
@@ -95,7 +99,15 @@ def _squared(rest: Floats, covariance: Floats) -> tuple[Floats, Floats]:
 
 def _at_points(wall_map: WallMap, rows: Integers, points: Floats) -> Floats:
     """Return the joint covariance (2 n, 2 n) of offset and heading of walls (n,), each `points` (n,) metres along."""
-    columns = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
-    lever = np.eye(len(columns))
-    lever[np.arange(0, len(columns), 2), np.arange(1, len(columns), 2)] = points
-    return np.asarray(lever @ wall_map.covariance[np.ix_(columns, columns)] @ lever.T)
+    by_walls = levers(wall_map, rows, points)
+    return np.asarray(by_walls @ wall_map.covariance @ by_walls.T)
+
+
+def levers(wall_map: WallMap, rows: Integers, points: Floats) -> Floats:
+    """Return the derivatives (2 n, 2 m) of offset and heading of n walls, `points` metres along, by those of all m."""
+    count = np.arange(len(rows))
+    by_walls = np.zeros((2 * len(rows), len(wall_map.covariance)))
+    by_walls[2 * count, 2 * rows] = 1.0
+    by_walls[2 * count, 2 * rows + 1] = points
+    by_walls[2 * count + 1, 2 * rows + 1] = 1.0
+    return by_walls

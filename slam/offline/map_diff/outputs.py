@@ -18,20 +18,26 @@ from .changes import DIFFERENCES, Change, ChangeKind, MapDiff
 from .corners import CornerChange
 
 STYLE = """
-path { fill: none; stroke-width: .06; stroke-linecap: round }
+path { fill: none; stroke-linecap: round }
 .same { stroke: #b0b7bf }
-.unseen { stroke: #b0b7bf; stroke-dasharray: .05 .12 }
+.unseen { stroke: #b0b7bf }
 .old { stroke: #d55e00 }
 .new { stroke: #0072b2 }
-text { font: .3px sans-serif; fill: #1f2933 }
+text { fill: #1f2933 }
 """
 """Orange is only in the old map, blue only in the new one: distinguishable if colour-blind."""
 LEAST_PROBABILITY = 1e-99
 """Least p-value that is printed."""
 MARGIN = 1.0
 """Metres around the drawing."""
-MILLIMETRES_PER_METRE = 10
-"""Millimetres of paper per metre of the map."""
+MILLIMETRES_PER_METRE, PAGE = 10.0, 250.0
+"""Millimetres of paper per metre of the map, and of the longer side of the drawing at most."""
+STROKE, TEXT = 1.0 / 400.0, 1.0 / 80.0
+"""Width of lines and size of text, as shares of the longer side of the drawing."""
+DOT_SPACING = 2.5
+"""Distance between the dots of walls that only one of the drives has seen, in widths of a line."""
+LEAST_STROKE, LEAST_TEXT = 0.06, 0.3
+"""The least of both, metres of the map."""
 
 
 def diff_text(diff: MapDiff, corners: Sequence[CornerChange]) -> str:
@@ -64,6 +70,12 @@ def _line(change: Change) -> str:
         which = f"wall {change.old}, now {change.new}, {_place(change)}"
         text = f"{which}: {abs(shift):.1f} mm ± {sigmas[0]:.1f} mm to its {side}"
         return f"moved: {text}, turned by {turn:.2f}° ± {sigmas[1]:.2f}°, {_probability(change)}"
+    if change.kind is ChangeKind.END_MOVED:
+        (x0, y0), (x1, y1) = change.stretches[0].tolist()
+        which = f"of wall {change.old}, now {change.new}, from ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+        by = "longer" if change.shift > 0.0 else "shorter"
+        text = f"{by} by {1e3 * abs(change.shift):.0f} mm ± {1e3 * change.sigma[0]:.0f} mm"
+        return f"end moved: {which}: {text}, {_probability(change)}"
     length = math.hypot(*(change.stretches[0, 1] - change.stretches[0, 0]))
     place = f"{length:.1f} m of wall {_named(change)} {_place(change)}"
     votes = f"seen through by {change.through} scans, seen by {change.seen}"
@@ -133,10 +145,19 @@ def write_diff_svg(path: Path, diff: MapDiff, old: WallMap, new: WallMap) -> Non
     points = np.concatenate([old.walls.end_points().reshape(-1, 2), _in_old(new, diff.motion).reshape(-1, 2)])
     low, high = points.min(axis=0) - MARGIN, points.max(axis=0) + MARGIN
     (width, height), left, top = high - low, low[0], -high[1]
-    size = f'width="{MILLIMETRES_PER_METRE * width:.1f}mm" height="{MILLIMETRES_PER_METRE * height:.1f}mm"'
+    longer = float(max(width, height))
+    scale = min(MILLIMETRES_PER_METRE, PAGE / longer)
+    size = f'width="{scale * width:.1f}mm" height="{scale * height:.1f}mm"'
     view = f'viewBox="{left:.3f} {top:.3f} {width:.3f} {height:.3f}"'
+    stroke = max(STROKE * longer, LEAST_STROKE)
+    sizes = (
+        f"path {{ stroke-width: {stroke:.2f} }}\n"
+        f".unseen {{ stroke-dasharray: 0 {DOT_SPACING * stroke:.2f} }}\n"
+        f"text {{ font: {max(TEXT * longer, LEAST_TEXT):.2f}px sans-serif }}"
+    )
     body = "\n".join(elements)
-    text = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {view}>\n<style>{STYLE}</style>\n{body}\n</svg>\n'
+    style = f"<style>{STYLE}{sizes}\n</style>"
+    text = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {view}>\n{style}\n{body}\n</svg>\n'
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
@@ -160,13 +181,17 @@ def _walls(diff: MapDiff, old: WallMap, new: WallMap) -> Iterator[str]:
 
 
 def _differences(diff: MapDiff, new: WallMap) -> Iterator[str]:
-    """Yield the old places of walls in one colour and the new ones in the other; of moved walls the shift as text."""
+    """Yield the old places of walls in one colour and the new ones in the other; of moved walls the shift as text.
+
+    Of a moved end, the stretch by which the wall is longer or shorter is drawn.
+    """
     in_old, wall = _in_old(new, diff.motion), new.walls.piece_points()[1]
     for change in diff.changes:
         if change.kind not in DIFFERENCES:
             continue
+        is_new = change.kind is ChangeKind.NEW or (change.kind is ChangeKind.END_MOVED and change.shift > 0.0)
         for ends in change.stretches:
-            yield _path("new" if change.kind is ChangeKind.NEW else "old", ends, _line(change))
+            yield _path("new" if is_new else "old", ends, _line(change))
         if change.kind is ChangeKind.MOVED:
             for ends in in_old[new.walls.identity[wall] == change.new]:
                 yield _path("new", ends, _line(change))

@@ -24,7 +24,10 @@ FALSE_DISCOVERY_RATE = 0.05
 
 
 def survey_plan(plan_map: PlanMap) -> Survey:
-    """Return a plan as the survey of an earlier map, in which the errors of walls are independent. Raises MapError."""
+    """Return a plan as the survey of an earlier map, in which the errors of walls are independent. Raises MapError.
+
+    Lines that are seen from one side are those of a map.
+    """
     walls, count = plan_map.walls, np.arange(len(plan_map.walls))
     covariance = np.zeros((len(walls), 2, len(walls), 2))
     covariance[count, :, count, :] = walls.covariance
@@ -32,7 +35,8 @@ def survey_plan(plan_map: PlanMap) -> Survey:
     joint = covariance.reshape(2 * len(walls), 2 * len(walls))
     points = [np.ascontiguousarray(view.points) for view in plan_map.views]
     wall_map = WallMap(walls, NO_CORNERS, joint, poses[:, :2])
-    return Survey(plan_session(plan_map, Config()), wall_map, poses, points)
+    bridging = bool(plan_map.plan.one_sided.all())
+    return Survey(plan_session(plan_map, Config()), wall_map, poses, points, scanned=False, bridging=bridging)
 
 
 def compare_with_plan(plan: Survey, state: SlamState, session: StoredSession) -> tuple[MapDiff, WallMap]:

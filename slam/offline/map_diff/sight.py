@@ -8,7 +8,6 @@ hypergeometric distribution (Fisher's exact test).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -22,7 +21,10 @@ from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, MIN_DEPTH_SIGMAS
 from ...mapping.wall_cells import WALL_CELL
 from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
 from ...measuring.wall_map import WallMap
+from .exact_test import Votes, exact_p_value
 from .surveys import Survey
+
+Gate = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,12 +47,7 @@ class SeenThrough:
     @property
     def p_value(self) -> float:
         """Probability that so many scans of the other drive see through it, or more, if nothing has changed."""
-        through, votes, own = int(self.through + self.own[0]), int(self.through + self.seen), int(sum(self.own))
-        ways, tail = math.comb(votes, self.through) * math.comb(own, int(self.own[0])), 0
-        for k in range(self.through, min(votes, through) + 1):
-            tail += ways
-            ways = ways * (votes - k) * (through - k) // ((k + 1) * (own - through + k + 1))
-        return tail / math.comb(votes + own, through)
+        return exact_p_value(Votes(self.through, self.seen), Votes(*self.own))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +82,23 @@ def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings
     ]
     known = cells.covered & (through + seen > 0)
     return Sightings(stretches, cells.lengths(known & (seen >= through)), cells.lengths(known))
+
+
+def covered_share(wall_map: WallMap, stretch: SeenThrough, other: WallMap, motion: se2.Pose, gate: Gate) -> float:
+    """Return the share of a stretch that a wall of another map, which is at `motion`, covers; 1 is all of it.
+
+    gate  metres across and radians within which two walls are the same
+    """
+    frame = wall_map.walls.frame[stretch.wall]
+    low, high = stretch.span
+    relative = se2.between(frame, se2.compose(motion, other.walls.frame)).reshape(-1, 3)
+    offset = relative[:, 1] + (0.5 * (low + high) - relative[:, 0]) * np.tan(relative[:, 2])
+    share = 0.0
+    for row in np.flatnonzero((np.abs(offset) < gate[0]) & (np.abs(relative[:, 2]) < gate[1])).tolist():
+        pieces = other.walls.pieces[row] + relative[row, 0]
+        common = np.minimum(pieces[:, 1], high) - np.maximum(pieces[:, 0], low)
+        share = max(share, float(np.maximum(common, 0.0).sum()) / (high - low))
+    return share
 
 
 class _Cells:

@@ -29,12 +29,16 @@ class Survey:
     wall_map  its walls
     poses     (k, 3) of scans with points, at least MIN_STEP metres of driving apart
     points    of each of these scans, (p, 2) in its frame
+    scanned   false for a plan: views of its lines take the place of scans
+    bridging  true for the lines of an earlier map without its scans: a line fitted to both sides of a door covers it
     """
 
     session: StoredSession
     wall_map: WallMap
     poses: Floats
     points: Sequence[Floats]
+    scanned: bool = True
+    bridging: bool = False
 
 
 def survey_session(path: Path, session: StoredSession) -> Survey:

@@ -21,6 +21,7 @@ from slam.measuring.wall_map import WallMap
 from slam.offline.map_diff import ChangeKind, MapDiff, Survey
 from slam.offline.map_diff.changes import benjamini_hochberg, find_changes, find_pairs
 from slam.offline.map_diff.corners import corner_changes
+from slam.offline.map_diff.ends import find_ends
 from slam.offline.map_diff.movement import find_movements
 from slam.offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
 from slam.offline.map_diff.sight import SeenThrough
@@ -36,6 +37,10 @@ HALL = [(0.0, 0.0), (8.0, 0.0), (8.0, 3.0), (5.0, 3.0), (5.0, 6.0), (0.0, 6.0)]
 PATH = [np.array([x, y, 0.3]) for x, y in zip(np.linspace(0.8, 4.2, 18), np.linspace(1.0, 1.6, 18), strict=True)]
 BOX = [(2.6, 3.4), (2.6, 4.4), (3.8, 4.4), (3.8, 3.4)]
 """Clockwise, as its sides are seen from outside."""
+
+
+SCREEN = [(2.4, 3.4), (2.4, 3.5), (3.6, 3.5), (3.6, 3.4)]
+"""A thin box; its side that faces the path is wall 19."""
 
 
 def hall(
@@ -126,6 +131,29 @@ def test_a_box_is_gone_or_new_where_scans_have_seen_through_its_place(random: np
     np.testing.assert_allclose(sorted(new.changes[0].stretches[0][:, 0]), [2.6, 3.8], atol=0.25)
 
 
+@pytest.mark.parametrize("longer", [0.2, -0.2])
+def test_an_end_that_was_moved_along_its_wall_is_found(random: np.random.Generator, longer: float) -> None:
+    stretched = [(x + longer if x > 3.0 else x, y) for x, y in SCREEN]
+    found = changes_of(hall(random, [SCREEN]), hall(random, [stretched], NEW_MAP_AT))
+    (end,) = [change for change in found.changes if change.kind is ChangeKind.END_MOVED]
+    assert (end.old, end.new) == (19, 19)
+    assert end.shift == pytest.approx(longer, abs=4.0 * end.sigma[0])
+    assert end.sigma[0] < 0.03
+    np.testing.assert_allclose(end.stretches[0], [[3.6, 3.4], [3.6 + longer, 3.4]], atol=0.05)
+    assert "longer" in diff_text(found, []) if longer > 0.0 else "shorter" in diff_text(found, [])
+    assert found.different
+
+
+def test_ends_that_something_hides_are_not_ends(random: np.random.Generator) -> None:
+    """A box in front of a wall ends what is seen of the wall, in the new drive at another place."""
+    box = [(2.4, 5.0), (2.4, 5.4), (3.4, 5.4), (3.4, 5.0)]
+    moved_box = [(x + 0.3, y) for x, y in box]
+    old, new = hall(random, [box]), hall(random, [moved_box], NEW_MAP_AT)
+    ends = {end.wall for end in find_ends(old, np.arange(len(old.wall_map.walls)))}
+    assert 4 not in ends  # the wall behind the box
+    assert all(change.old != 14 for change in changes_of(old, new).changes)
+
+
 def test_a_wall_that_no_scan_has_looked_at_is_not_gone(random: np.random.Generator) -> None:
     old, new = hall(random, [BOX]), hall(random, at=NEW_MAP_AT)
     blind = replace(new, poses=new.poses[:0], points=[])
@@ -205,6 +233,10 @@ def test_drives_through_an_office_with_and_without_changes(wclm: Any, tmp_path: 
         assert wclm("run", f"sim:{spec}&duration=100", "--out", name, "--no-review").exit_code == 0
     same = wclm("diff", "a", "b")
     assert same.exit_code == 0, same.output
+    exported = wclm("map", "a", "--format", "svg")
+    assert exported.exit_code == 0, exported.output
+    itself = wclm("diff", "a/map.svg", "a")  # its lines cover doors that the scans have seen through
+    assert itself.exit_code == 0, itself.output
     different = wclm("diff", "a", "c", "--svg", "a.svg", "--geojson", "a.geojson")
     assert different.exit_code == 1, different.output
     walls = [

@@ -72,7 +72,10 @@ def test_recordings_are_drawn_where_they_are(tmp_path: Path) -> None:
     (tmp_path / "intel").mkdir()
     (tmp_path / "intel" / "intel.clf").write_text("")
     with_it = {name for pictures in demo_pictures.picture_sets(tmp_path) for name in pictures.files}
-    assert with_it - {name for pictures in demo_pictures.picture_sets(None) for name in pictures.files} == {"intel.png"}
+    assert with_it - {name for pictures in demo_pictures.picture_sets(None) for name in pictures.files} == {
+        "intel.png",
+        "intel-grid.png",
+    }
 
 
 @pytest.mark.slow

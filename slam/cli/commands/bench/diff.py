@@ -12,7 +12,10 @@ from ...compilation import compile_all
 from ...console import progress
 from .output import JsonOption, check_conditions, heading, provenance
 
-NAMES = "unchanged, moved-2cm, moved-5cm, moved-10cm, moved-20cm, added, closed-doors, shifted-doors"
+NAMES = (
+    "unchanged, moved-2cm, moved-5cm, moved-10cm, moved-20cm, added, closed-doors, shifted-5cm, shifted-10cm, "
+    "shifted-20cm"
+)
 
 
 def bench_diff(
