@@ -26,7 +26,7 @@ STANDING_SCANS = 100
 # Scans until it is certain whether a scan has become a keyframe: a new part of the map may begin with it when the robot
 # is found to be lost. Origin: chosen, several times as many as tracking waits for that.
 UNDECIDED_SCANS = 20
-# Last scans whose features are kept if the map is not changed: older ones are not matched again at the end, as a robot
+# Last scans whose features are kept if they are only localised: older ones are not matched again at the end, as a robot
 # may be localised for weeks. Origin: chosen, half an hour of a common lidar, some 100 MB.
 LOCALISED_SCANS = 20_000
 
@@ -59,6 +59,7 @@ class Journal:
         self._dispensable: set[int] = set()  # rows whose features are kept nevertheless
         self._standing_at: se2.Pose | None = None  # by odometry
         self._standing_since = 0  # row
+        self._localised: list[tuple[float, float]] = []  # rows of the scans that are only localised: from, up to
 
     def add(self, scan: ProcessedScan) -> None:
         """Append a scan."""
@@ -84,10 +85,19 @@ class Journal:
         if place == len(keyframe_stamps) or keyframe_stamps[place] != stamp:
             self._mark_dispensable(row)
 
+    def begin_localising(self) -> None:
+        """State that scans are only localised from the next one on, and that none becomes a keyframe."""
+        self._localised.append((len(self.scans), np.inf))
+
+    def end_localising(self) -> None:
+        """State that the map is extended again; a part of it may begin with one of the last UNDECIDED_SCANS."""
+        begin, _ = self._localised.pop()
+        self._localised.append((begin, len(self.scans) - UNDECIDED_SCANS))
+
     def mark_localised(self) -> None:
-        """Mark the scan before the last LOCALISED_SCANS of this run; to be called after each, if the map is frozen."""
+        """Mark the scan before the last LOCALISED_SCANS if it was only localised; to be called after each."""
         row = len(self.scans) - 1 - LOCALISED_SCANS
-        if row >= self.first_row:
+        if any(begin <= row < end for begin, end in self._localised):
             self._mark_dispensable(row)
 
     def _mark_dispensable(self, row: int) -> None:
@@ -106,6 +116,7 @@ class Journal:
         self.segments.keep_last()
         self.scans = self.scans[self.first_row :]
         self._dispensable = {row - self.first_row for row in self._dispensable if row >= self.first_row}
+        self._localised = [(begin - self.first_row, end - self.first_row) for begin, end in self._localised]
         self._standing_at = None
         self.first_row = 0
 
