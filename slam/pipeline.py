@@ -141,7 +141,7 @@ class Slam:
         if not self.frozen and self.slam_state.in_familiar_place:
             self._journal.mark_last_familiar()
         self._journal.mark_localised()
-        self._journal.mark_standing(self._estimator.state.keyframe_stamps)
+        self._journal.mark_decided(self._estimator.state.keyframe_stamps)
         self._statistics.lost_scans += self._localisation.lost
         self._report.add(processed, result, self.slam_state, self._preprocessor.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)
@@ -283,6 +283,7 @@ class Slam:
         session = self._session_with_queue()
         self._process_queue()
         self._leave_out_unknown_session()
+        self._journal.mark_last_decided(self.slam_state.keyframe_stamps)
         self._session = session or self._stored.at_end(self.slam_state.copy())
         self.slam_state.local_field.begin_part()  # frees some megabytes: no scan is matched with it any more
         if self._extends_map:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -59,6 +60,7 @@ class Journal:
         self._dispensable: set[int] = set()  # rows whose features are kept nevertheless
         self._standing_at: se2.Pose | None = None  # by odometry
         self._standing_since = 0  # row
+        self._familiar: deque[int] = deque()  # rows of scans in familiar places that may still become keyframes
         self._localised: list[tuple[float, float]] = []  # rows of the scans that are only localised: from, up to
 
     def add(self, scan: ProcessedScan) -> None:
@@ -69,17 +71,28 @@ class Journal:
         self.scans.append(scan)
 
     def mark_last_familiar(self) -> None:
-        """Mark the last scan as taken in a familiar place: its features did not enter the map."""
-        self._mark_dispensable(len(self.scans) - 1)
+        """State that the last scan was taken in a familiar place: its features did not enter the map."""
+        self._familiar.append(len(self.scans) - 1)
 
-    def mark_standing(self, keyframe_stamps: Sequence[float]) -> None:
-        """Mark a scan of a robot that stands, after STANDING_SCANS others there, unless it is a keyframe.
+    def mark_decided(self, keyframe_stamps: Sequence[float]) -> None:
+        """Mark the scan before the last UNDECIDED_SCANS if it was taken in a familiar place, or by a robot that stands,
+        after STANDING_SCANS others there, unless it is a keyframe.
 
         To be called after each scan; `keyframe_stamps` are those of all keyframes so far, in time order.
         """
         row = len(self.scans) - 1 - UNDECIDED_SCANS
-        if row - self._standing_since < STANDING_SCANS:
-            return
+        familiar = bool(self._familiar) and self._familiar[0] == row
+        if familiar:
+            self._familiar.popleft()
+        if familiar or row - self._standing_since >= STANDING_SCANS:
+            self._mark_unless_keyframe(row, keyframe_stamps)
+
+    def mark_last_decided(self, keyframe_stamps: Sequence[float]) -> None:
+        """Mark all scans that were taken in familiar places; at the end of the run none becomes a keyframe any more."""
+        while self._familiar:
+            self._mark_unless_keyframe(self._familiar.popleft(), keyframe_stamps)
+
+    def _mark_unless_keyframe(self, row: int, keyframe_stamps: Sequence[float]) -> None:
         stamp = self.scans[row].stamp
         place = bisect.bisect_left(keyframe_stamps, stamp)
         if place == len(keyframe_stamps) or keyframe_stamps[place] != stamp:
@@ -116,6 +129,7 @@ class Journal:
         self.segments.keep_last()
         self.scans = self.scans[self.first_row :]
         self._dispensable = {row - self.first_row for row in self._dispensable if row >= self.first_row}
+        self._familiar = deque(row - self.first_row for row in self._familiar if row >= self.first_row)
         self._localised = [(begin - self.first_row, end - self.first_row) for begin, end in self._localised]
         self._standing_at = None
         self.first_row = 0
