@@ -19,6 +19,7 @@ from ..mode_switch import ModeSwitch
 from ..run_setup import RunSetup
 from ..run_summary import format_summary
 from ..slam_run import run_slam
+from ..switch_interval import short_switch_interval
 from .live_dashboard import LiveDashboard
 from .ros_input import DiscardedError, RosInput
 
@@ -43,7 +44,7 @@ class RosNode:
 
         Raises SlamError.
         """
-        with tempfile.TemporaryDirectory(prefix="wclm-ros-") as folder:
+        with tempfile.TemporaryDirectory(prefix="wclm-ros-") as folder, short_switch_interval():
             target, shown, modes = out or Path(folder) / "map", review and out is not None, ModeSwitch()
             while True:
                 try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -185,6 +186,7 @@ def node_run(tmp_path_factory: pytest.TempPathFactory) -> NodeRun:
 
     def call_services() -> None:
         service = "/slam_toolbox/"
+        responses["switch interval"] = sys.getswitchinterval()
         responses["grid"] = link.call(f"{service}dynamic_map").map
         name = type_store("cdr").types["std_msgs/msg/String"](str(folder / "picture"))
         responses["save"] = link.call(f"{service}save_map", name=name).result
@@ -206,6 +208,10 @@ def seconds(stamp: Any) -> float:
 def test_results_are_those_of_the_recording_byte_for_byte(node_run: NodeRun) -> None:
     for name in (TRAJECTORY, MAP, KEYFRAMES):
         assert (node_run.online / name).read_bytes() == (node_run.offline / name).read_bytes()
+
+
+def test_scans_that_are_processed_delay_poses_little(node_run: NodeRun) -> None:
+    assert node_run.responses["switch interval"] < 1e-3 < sys.getswitchinterval()
 
 
 def test_services_answer(node_run: NodeRun) -> None:
