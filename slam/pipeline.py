@@ -17,7 +17,7 @@ from .estimation.estimator import Estimator
 from .estimation.map_view import final_result, map_features
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
-from .events import Finished, GroundTruthReceived, Notice, Sink
+from .events import Finished, GroundTruthReceived, ModeChanged, Notice, Sink
 from .geometry.segments import Floats
 from .localisation.state import LocalisationEvent, LocalisationState
 from .localisation_report import LocalisationReport
@@ -69,7 +69,7 @@ class Slam:
                            session can be refined later; memory then grows with time. Implied by `refine`
         loops              search for loop closures in another way than the default
         resumed            session to continue: directly if odometry is continuous, else after relocalisation in its map
-        frozen             keep the map of the session unchanged and only estimate the trajectory in it
+        frozen             keep the map of the session unchanged and only estimate the trajectory in it, see `unfreeze`
         start              roughly known pose [x, y, heading] of the base in the map of the session, or in the plan, at
                            the first scan; without it the robot may be anywhere
         plan               plan of the building: once the map is recognised in it, it is in the plan's frame, and walls
@@ -79,7 +79,7 @@ class Slam:
             raise MapError("a plan cannot be used together with a session that is continued")
         self._initial_pose = start if plan is None else None
         self.config = config or Config()
-        self._refine, self._frozen = refine, frozen
+        self._refine, self._extends_map = refine, not frozen
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()
         self._report = ScanReport(self._publisher, self._statistics)
@@ -98,6 +98,7 @@ class Slam:
         )
         if frozen:
             self.slam_state.freeze()
+            self._journal.begin_localising()
 
     # --- input
 
@@ -137,11 +138,10 @@ class Slam:
             self._motions.correct(processed.stamp, tracking.motion_since(before), tracking.covariance)
         if self._motions.predicted:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
-        if self._frozen:
-            self._journal.mark_localised()
-        elif self.slam_state.in_familiar_place:
+        if not self.frozen and self.slam_state.in_familiar_place:
             self._journal.mark_last_familiar()
-        self._journal.mark_standing(self._estimator.state.keyframe_stamps)
+        self._journal.mark_localised()
+        self._journal.mark_decided(self._estimator.state.keyframe_stamps)
         self._statistics.lost_scans += self._localisation.lost
         self._report.add(processed, result, self.slam_state, self._preprocessor.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)
@@ -151,6 +151,8 @@ class Slam:
     def _start(self, first: Odometry) -> None:
         """Start at the first odometry: it continues that of the session, or the robot may be anywhere in its map."""
         self._has_odometry = True
+        if self.frozen:
+            self._publisher.publish(ModeChanged(first.stamp, frozen=True))
         earlier = self._stored.earlier
         if earlier is None:
             self._preprocessor.odometry = self._journal.start_odometry_segment()
@@ -173,6 +175,55 @@ class Slam:
         self._publisher.publish(Notice(scan.stamp, "the robot is placed at the initial pose"))
         if self._localisation.lost:
             self._localisation.handle(scan.stamp, LocalisationEvent.RELOCALISED)
+
+    # --- mode
+
+    @property
+    def frozen(self) -> bool:
+        """True while the map is kept as it is, and only the pose in it is estimated."""
+        return self.slam_state.frozen
+
+    @property
+    def extends_map(self) -> bool:
+        """True if this run extends the map, or did before; false if it has only localised in that of a session."""
+        return self._extends_map
+
+    def freeze(self) -> None:
+        """Keep the map as it is from now on, and only estimate the pose in it; no effect if that is so already.
+
+        Raises MapError if there is no map yet, or if the robot is LOST.
+        """
+        if self.frozen:
+            return
+        if not self.slam_state.mapper.keyframe_count:
+            raise MapError("nothing is mapped yet")
+        if self._localisation.lost:
+            raise MapError("the robot is LOST, so there is no map around it to localise in")
+        self._estimator.freeze()
+        self._journal.begin_localising()
+        self._publish_mode()
+
+    def unfreeze(self) -> None:
+        """Extend the map again from where the robot is; no effect if that is so already.
+
+        If the robot is LOST, it maps in a new part of the map, until that is recognised. Raises MapError if the map is
+        a plan.
+        """
+        if not self.frozen:
+            return
+        if self._stored.earlier is not None and not self._stored.earlier.scans:
+            raise MapError("a plan cannot be extended; use it as a plan to map with")
+        if self._journal.scans:
+            self._estimator.unfreeze(self._journal.scans[-1].odometry)
+        else:
+            self.slam_state.frozen = False
+        self._journal.end_localising()
+        self._extends_map = True
+        self._publish_mode()
+
+    def _publish_mode(self) -> None:
+        stamp = self._journal.scans[-1].stamp if self._journal.scans else 0.0
+        self._publisher.publish(ModeChanged(stamp, self.frozen))
 
     # --- output
 
@@ -232,16 +283,17 @@ class Slam:
         session = self._session_with_queue()
         self._process_queue()
         self._leave_out_unknown_session()
+        self._journal.mark_last_decided(self.slam_state.keyframe_stamps)
         self._session = session or self._stored.at_end(self.slam_state.copy())
         self.slam_state.local_field.begin_part()  # frees some megabytes: no scan is matched with it any more
-        if not self._frozen:
+        if self._extends_map:
             self._statistics.merged_walls += converge(self.slam_state.mapper)
             settle_plan(self.slam_state, self._journal, self._publisher)
         end = self._journal.scans[-1].stamp
         state, journal = self.slam_state, self._journal
         self._report.add_rejected_loops(state, end, ended=True)
         summary = self._summary(end)
-        summary |= settle_trajectory(state, journal, self._publisher, refined=self._refine and not self._frozen)
+        summary |= settle_trajectory(state, journal, self._publisher, refined=self._refine and self._extends_map)
         if self._refine:
             self._session = self._stored.at_end(state)
         stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
@@ -255,8 +307,8 @@ class Slam:
 
     @property
     def _results_after(self) -> float:
-        """Stamp (seconds) after which poses are results: that of the end of an earlier session with a frozen map."""
-        return self._journal.resumed_at if self._frozen else -math.inf
+        """Stamp (seconds) after which poses are results: that of the end of an earlier session that is not extended."""
+        return -math.inf if self._extends_map else self._journal.resumed_at
 
     def _summary(self, end: float) -> dict[str, object]:
         """Return the summary of the run up to the stamp `end` as plain data."""
@@ -282,16 +334,16 @@ class Slam:
         """True if nothing of this run is in a place that is known to be in the map of the earlier session."""
         if self._stored.earlier is None:
             return False
-        return is_unknown_place(self._estimator, self._journal, frozen=self._frozen)
+        return is_unknown_place(self._estimator, self._journal, frozen=not self._extends_map)
 
     def _leave_out_unknown_session(self) -> None:
         """Map this run alone if it was never recognised in the map of the earlier session.
 
-        Raises MapError if that map is frozen.
+        Raises MapError if that map is not extended.
         """
         if not self._is_unknown_place:
             return
-        if self._frozen:
+        if not self._extends_map:
             raise MapError("the robot was never relocalised in the map of the session")
         self._stored.earlier = None
         self._estimator = map_alone(self.config, self._journal, self._statistics, self._publisher)

@@ -25,6 +25,7 @@ from .commands.live import live
 from .commands.map import export_map
 from .commands.measure import measure
 from .commands.merge import merge
+from .commands.mode import mode
 from .commands.optimize import optimize
 from .commands.record import record
 from .commands.recover import recover
@@ -107,6 +108,7 @@ COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
         "live": live,
         "ros": ros,
         "save": save,
+        "mode": mode,
         "recover": recover,
         "batch": batch,
     },

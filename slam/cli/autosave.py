@@ -6,6 +6,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -50,7 +51,7 @@ class Autosave:
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGUSR1, lambda *_: self.request())
-            self._output.announce()
+            self._output.announce(lambda before: before)
         return self
 
     def __exit__(
@@ -75,7 +76,7 @@ class Autosave:
         except MapError as error:
             if requested:
                 problem = f"{self._output.path}: not saved: {error}"
-                self._output.announce(problem)
+                self._answer(problem)
                 self.report(problem)
                 print_message(problem)
             return
@@ -85,6 +86,9 @@ class Autosave:
     def request(self) -> None:
         """Save at the next `poll`. May be called from any thread."""
         self._requested = True
+
+    def _answer(self, problem: str) -> None:
+        self._output.announce(lambda before: replace(before, saves=before.saves + 1, save_problem=problem))
 
     def _handle_keys(self, keys: bytes) -> None:
         if SAVE_KEY in keys.lower():
@@ -100,7 +104,7 @@ class Autosave:
             self._problem = f"{self._output.path}: not saved: {first_line(error)}"
         took = time.monotonic() - began
         self._due = began + max(PERIOD, took / LARGEST_SHARE)
-        self._output.announce(self._problem)
+        self._answer(self._problem)
         self.report(self._problem or f"saved at {time.strftime('%H:%M:%S')}")
         if self._problem and (requested or self._problem != before):
             print_message(f"{self._problem}; the run goes on")

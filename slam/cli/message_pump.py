@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import sys
 import threading
 from collections.abc import Callable
 from types import TracebackType
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
 CAPACITY = 2000
 """Messages that wait for the run, half a minute; beyond, they wait where they come from and are seen later."""
 
-SWITCH_INTERVAL = 5e-4
-"""Seconds for which the run may delay the thread of the pump, where the interpreter can interrupt it."""
-
 
 class MessagePump:
     """A `Receiver` between another one and its consumer; a context manager.
@@ -38,8 +34,6 @@ class MessagePump:
         self._thread = threading.Thread(target=self._run, name="pump", daemon=True)
 
     def __enter__(self) -> Self:
-        self._switch_interval = sys.getswitchinterval()
-        sys.setswitchinterval(SWITCH_INTERVAL)
         self._thread.start()
         return self
 
@@ -48,7 +42,6 @@ class MessagePump:
     ) -> None:
         self._over.set()
         self._thread.join()
-        sys.setswitchinterval(self._switch_interval)
 
     @property
     def ended(self) -> bool:

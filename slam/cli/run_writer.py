@@ -54,13 +54,13 @@ class RunWriter:
 
     def snapshot(self, slam: Slam) -> Write:
         """Return a function that writes the state of this moment. Raises MapError if there is no map yet."""
-        copy = slam.snapshot()
+        copy, extended = slam.snapshot(), slam.extends_map
         took = time.perf_counter() - self.started
 
         def write(place: Path) -> None:
             finished = copy.finished()
-            summary = self._summarise(finished, copy.session, None, took, took) | {"unfinished": True}
-            self._write(place, finished, summary, copy.session)
+            summary = self._summarise(finished, copy.session, None, took, took, extended) | {"unfinished": True}
+            self._write(place, finished, summary, copy.session if extended else None)
 
         return write
 
@@ -74,13 +74,14 @@ class RunWriter:
         return_freed_memory()  # to write tables, libraries are loaded that need as much
         score = score_against_truth(finished, self.statistics)
         took = time.perf_counter() - self.started
-        summary = self._summarise(finished, slam.session, score, slam_seconds, took) | {"review": left_out}
+        summary = self._summarise(finished, slam.session, score, slam_seconds, took, slam.extends_map)
+        summary["review"] = left_out
         on_plan = None if self.setup.plan is None else report_on_plan(self.setup.plan, slam)
         if on_plan is not None:
             summary["plan"] = on_plan.summary
 
         def write(place: Path) -> None:
-            self._write(place, finished, summary, slam.session)
+            self._write(place, finished, summary, slam.session if slam.extends_map else None)
             if on_plan is not None:
                 on_plan.write(place)
             if self.picture:
@@ -95,8 +96,9 @@ class RunWriter:
         score: ReferenceScore | None,
         slam_seconds: float,
         seconds: float,
+        extended: bool,
     ) -> dict[str, Any]:
-        """Return the summary; add the recording of this run to the session."""
+        """Return the summary; add the recording of this run to the session. `extended`: see `Slam.extends_map`."""
         summary = summarise_run(
             self.run_input,
             finished,
@@ -108,7 +110,7 @@ class RunWriter:
             seconds=seconds,
         )
         session.recordings.append(self.statistics.recording(self.run_input))
-        recordings = session.recordings[-1:] if self.setup.frozen else session.recordings
+        recordings = session.recordings if extended else session.recordings[-1:]
         return summary | {
             "lidars": self.mounts(),
             "recordings": [recording.model_dump() for recording in recordings],
@@ -123,11 +125,12 @@ class RunWriter:
             mounts.append((unknown if used is None else used).tolist())
         return mounts
 
-    def _write(self, place: Path, finished: Finished, summary: dict[str, Any], session: StoredSession) -> None:
+    def _write(self, place: Path, finished: Finished, summary: dict[str, Any], session: StoredSession | None) -> None:
+        """Write the results, and the session if there is anything new in it."""
         from ..io.sessions import write_session
 
         write_results(place, finished, self.setup.config, summary)
-        if not self.setup.frozen:
+        if session is not None:
             write_session(place, session)
 
 

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -27,6 +28,7 @@ from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
+from .mode_switch import ModeSwitch
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
 from .run_summary import RunResult
@@ -75,6 +77,7 @@ def run_slam(
     server: ViewerServer | None = None,
     keys: TerminalKeys | None = None,
     page: PageServer | None = None,
+    modes: ModeSwitch | None = None,
 ) -> RunResult:
     """Run SLAM on `run_input` and write the output directory `out`, which appears only when it is complete.
 
@@ -84,7 +87,8 @@ def run_slam(
     picture    draw the map
     seed       of the simulation, for the summary
     keys       keys of the terminal, with the handlers of a live run; the key `s` saves the map
-    page       page of a live run, which shows it and saves the map on request
+    page       page of a live run, which shows it, saves the map and changes the mode on request
+    modes      switch between mapping and localisation of a run that is not finite
 
     Raises SlamError. On any exception nothing is left behind, but the last save of a live run stays after an error.
     """
@@ -104,15 +108,22 @@ def run_slam(
             written = review_log(directory, setup.config, run_input.name, server, seed, complete=run_input.finite)
             sinks.append(reviewed := log.enter_context(written))
         writer = RunWriter(run_input, setup, statistics, notices.texts, picture, seed, time.perf_counter())
-        keys = keys or TerminalKeys()
+        keys, modes = keys or TerminalKeys(), modes or ModeSwitch()
         autosave = Autosave(output, lambda: writer.snapshot(slam), keys)
+
+        def idle() -> None:
+            modes.poll()
+            autosave.poll()
+
         if page is not None:
             sinks += [page.state, log.enter_context(_grid_layer(page, writer, setup.resumed))]
-            _let_page_save(page, autosave)
-        with run_input.opened(autosave.poll) as messages:
+            _let_page_act(page, autosave, modes)
+        modes.switched = partial(_show_mode, output, page)
+        with run_input.opened(idle) as messages:
             slam = _start(run_input, setup, sinks, refine=refine)
             if not run_input.finite:
                 saving.enter_context(autosave)
+                saving.enter_context(modes.begin(slam, keys))
                 saving.enter_context(keys)
             after = -np.inf if setup.resumed is None else setup.resumed.latest
             finished, busy = process_messages(_shifted(messages, after, statistics), slam, statistics, run_input.name)
@@ -149,11 +160,18 @@ def _grid_layer(page: PageServer, writer: RunWriter, resumed: StoredSession | No
     return GridLayer(page.state, lambda: np.array(writer.mounts() or [[0.0, 0.0, 0.0]])[:, :2], resumed)
 
 
-def _let_page_save(page: PageServer, autosave: Autosave) -> None:
-    """Save the map on request of the page, and report it there."""
-    page.actions.save = autosave.request
-    page.state.update(can_save=True)
+def _let_page_act(page: PageServer, autosave: Autosave, modes: ModeSwitch) -> None:
+    """Save the map and change the mode on request of the page, and report there what was saved."""
+    page.actions.save, page.actions.freeze = autosave.request, modes.request
+    page.state.update(can_save=True, can_freeze=True)
     autosave.report = lambda text: page.state.update(message=text)
+
+
+def _show_mode(output: OutputDirectory, page: PageServer | None, frozen: bool, problem: str) -> None:
+    """Announce the mode of the run to other processes and the page, and why it was not changed, if so."""
+    output.announce(lambda before: replace(before, frozen=frozen, switches=before.switches + 1, switch_problem=problem))
+    if page is not None:
+        page.state.update(frozen=frozen, **({"message": problem} if problem else {}))
 
 
 def review_log(

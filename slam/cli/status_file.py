@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..errors import OutputError
-from ..events import Event, KeyframeAdded, LoopDecided, Notice, ScanTracked, StateChanged
+from ..events import Event, KeyframeAdded, LoopDecided, ModeChanged, Notice, ScanTracked, StateChanged
 from ..io.disk_reserve import free_space
 from ..io.host import resident_memory
 from ..io.json_files import to_json_types
@@ -35,12 +35,14 @@ class StatusFile:
     Raises OutputError if the file cannot be written at the beginning. Later errors are printed once.
     """
 
-    handled = (ScanTracked, KeyframeAdded, StateChanged, LoopDecided, Notice)
+    handled = (ScanTracked, KeyframeAdded, StateChanged, ModeChanged, LoopDecided, Notice)
 
     def __init__(self, path: Path, out: Path) -> None:
         self._path, self._out = path, out.resolve()
         self._started, self._written, self._problem = time.time(), float("-inf"), ""
-        self._values: dict[str, Any] = {"state": "OK", "scans": 0, "pose": None, "map": {}, "notice": ""}
+        self._values: dict[str, Any] = {
+            "state": "OK", "frozen": False, "scans": 0, "pose": None, "map": {}, "notice": "",
+        }  # fmt: skip
         self._loops: Counter[str] = Counter()
         self._scanned: float | None = None
         self._devices: dict[str, Any] = {"devices": [], "dropped": 0, "recording": None}
@@ -59,6 +61,8 @@ class StatusFile:
                 self._values["map"] = dict(event.counts)
             case StateChanged():
                 self._values["state"] = event.state
+            case ModeChanged():
+                self._values["frozen"] = event.frozen
             case LoopDecided():
                 self._loops[str(event.status)] += 1
             case Notice():

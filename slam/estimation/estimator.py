@@ -126,6 +126,24 @@ class Estimator:
         self.state.begin_part(pose, odometry, kidnapped=kidnapped)
         self._monitor, self._earlier = ClosureMonitor(), None
 
+    def freeze(self) -> None:
+        """Keep the map as it is from now on; its closures are not monitored any more. The robot is not lost."""
+        self.state.mapper.solve_waiting()
+        self.state.frozen = True
+        self._monitor, self._earlier = ClosureMonitor(), None
+
+    def unfreeze(self, odometry: se2.Pose) -> None:
+        """Extend the map again, from where the robot is; `odometry` is the pose of odometry at the last scan.
+
+        If the robot is lost in the map, a new part of it begins; the map on trial is discarded.
+        """
+        lost = self._frozen is not None
+        self.state, self._frozen, self._earlier = self.result, None, None
+        self.state.frozen, self.state.untracked_scans, self.state.tentative = False, [], []
+        self.state.mapper.gauge.hold(self.state.mapper)
+        if lost:
+            self.begin_part(self.state.predict(odometry), odometry, kidnapped=True)
+
     def _begin_part_with(self, scans: Sequence[ProcessedScan], timer: StageTimer, *, kidnapped: bool) -> ScanResult:
         """Begin a part of the map with scans that did not fit; the result is that of the last one."""
         odometry = scans[0].odometry

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -26,7 +27,7 @@ STANDING_SCANS = 100
 # Scans until it is certain whether a scan has become a keyframe: a new part of the map may begin with it when the robot
 # is found to be lost. Origin: chosen, several times as many as tracking waits for that.
 UNDECIDED_SCANS = 20
-# Last scans whose features are kept if the map is not changed: older ones are not matched again at the end, as a robot
+# Last scans whose features are kept if they are only localised: older ones are not matched again at the end, as a robot
 # may be localised for weeks. Origin: chosen, half an hour of a common lidar, some 100 MB.
 LOCALISED_SCANS = 20_000
 
@@ -59,6 +60,8 @@ class Journal:
         self._dispensable: set[int] = set()  # rows whose features are kept nevertheless
         self._standing_at: se2.Pose | None = None  # by odometry
         self._standing_since = 0  # row
+        self._familiar: deque[int] = deque()  # rows of scans in familiar places that may still become keyframes
+        self._localised: list[tuple[float, float]] = []  # rows of the scans that are only localised: from, up to
 
     def add(self, scan: ProcessedScan) -> None:
         """Append a scan."""
@@ -68,26 +71,46 @@ class Journal:
         self.scans.append(scan)
 
     def mark_last_familiar(self) -> None:
-        """Mark the last scan as taken in a familiar place: its features did not enter the map."""
-        self._mark_dispensable(len(self.scans) - 1)
+        """State that the last scan was taken in a familiar place: its features did not enter the map."""
+        self._familiar.append(len(self.scans) - 1)
 
-    def mark_standing(self, keyframe_stamps: Sequence[float]) -> None:
-        """Mark a scan of a robot that stands, after STANDING_SCANS others there, unless it is a keyframe.
+    def mark_decided(self, keyframe_stamps: Sequence[float]) -> None:
+        """Mark the scan before the last UNDECIDED_SCANS if it was taken in a familiar place, or by a robot that stands,
+        after STANDING_SCANS others there, unless it is a keyframe.
 
         To be called after each scan; `keyframe_stamps` are those of all keyframes so far, in time order.
         """
         row = len(self.scans) - 1 - UNDECIDED_SCANS
-        if row - self._standing_since < STANDING_SCANS:
-            return
+        familiar = bool(self._familiar) and self._familiar[0] == row
+        if familiar:
+            self._familiar.popleft()
+        if familiar or row - self._standing_since >= STANDING_SCANS:
+            self._mark_unless_keyframe(row, keyframe_stamps)
+
+    def mark_last_decided(self, keyframe_stamps: Sequence[float]) -> None:
+        """Mark all scans that were taken in familiar places; at the end of the run none becomes a keyframe any more."""
+        while self._familiar:
+            self._mark_unless_keyframe(self._familiar.popleft(), keyframe_stamps)
+
+    def _mark_unless_keyframe(self, row: int, keyframe_stamps: Sequence[float]) -> None:
         stamp = self.scans[row].stamp
         place = bisect.bisect_left(keyframe_stamps, stamp)
         if place == len(keyframe_stamps) or keyframe_stamps[place] != stamp:
             self._mark_dispensable(row)
 
+    def begin_localising(self) -> None:
+        """State that scans are only localised from the next one on, and that none becomes a keyframe."""
+        self._localised.append((len(self.scans), np.inf))
+
+    def end_localising(self) -> None:
+        """State that the map is extended again; a part of it may begin with one of the last UNDECIDED_SCANS."""
+        begin, _ = self._localised.pop()
+        self._localised.append((begin, len(self.scans) - UNDECIDED_SCANS))
+
     def mark_localised(self) -> None:
-        """Mark the scan before the last LOCALISED_SCANS of this run; to be called after each, if the map is frozen."""
+        """Mark the scan before the last LOCALISED_SCANS if it was only localised; to be called after each."""
         row = len(self.scans) - 1 - LOCALISED_SCANS
-        if row >= self.first_row:
+        if any(begin <= row < end for begin, end in self._localised):
             self._mark_dispensable(row)
 
     def _mark_dispensable(self, row: int) -> None:
@@ -106,6 +129,8 @@ class Journal:
         self.segments.keep_last()
         self.scans = self.scans[self.first_row :]
         self._dispensable = {row - self.first_row for row in self._dispensable if row >= self.first_row}
+        self._familiar = deque(row - self.first_row for row in self._familiar if row >= self.first_row)
+        self._localised = [(begin - self.first_row, end - self.first_row) for begin, end in self._localised]
         self._standing_at = None
         self.first_row = 0
 

@@ -184,8 +184,11 @@ class SlamState:
 
     @property
     def in_familiar_place(self) -> bool:
-        """True while the robot passes a familiar place, where no keyframes are added."""
-        return self.anchor is not None and self.anchor.keyframe != self.mapper.keyframe_count - 1
+        """True while the robot passes a familiar place, where no keyframes are added.
+
+        The anchor is then a pose near a keyframe, possibly the last one, and not a keyframe itself, which is certain.
+        """
+        return self.anchor is not None and bool(self.anchor.covariance.any())
 
     @property
     def anchor_pose(self) -> se2.Pose:

@@ -7,7 +7,7 @@ from typing import Protocol, TypeAlias
 from .loops import ComparedPoints, Correction, LoopCheck, LoopDecided
 from .mapping import GraphInspected, KeyframeAdded, MapUpdated, WallsMerged, WallsRemoved
 from .run import Finished, Notice, SuspectFound
-from .tracking import GroundTruthReceived, Relocalised, ScanTracked, StateChanged
+from .tracking import GroundTruthReceived, ModeChanged, Relocalised, ScanTracked, StateChanged
 
 __all__ = [
     "ComparedPoints",
@@ -20,6 +20,7 @@ __all__ = [
     "LoopCheck",
     "LoopDecided",
     "MapUpdated",
+    "ModeChanged",
     "Notice",
     "Relocalised",
     "ScanTracked",
@@ -39,6 +40,7 @@ Event: TypeAlias = (
     | WallsRemoved
     | LoopDecided
     | StateChanged
+    | ModeChanged
     | Relocalised
     | GroundTruthReceived
     | Notice

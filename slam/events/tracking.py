@@ -59,6 +59,14 @@ class StateChanged:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ModeChanged:
+    """The map is only localised in from now on (`frozen`), or is extended."""
+
+    stamp: float
+    frozen: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Relocalised:
     """A lost or kidnapped robot was recognised in the map; the base is at `pose` (3,).
 

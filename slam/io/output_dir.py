@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import errno
+import os
 import re
 import shutil
 import tempfile
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -14,7 +16,7 @@ from types import TracebackType
 from ..errors import OutputError
 from .atomic_swap import exchange_directories, sync_directory, sync_file
 from .disk_reserve import MIN_RESERVE, directory_size, free_space
-from .work_directory import WorkDirectory
+from .work_directory import RunAnnouncement, WorkDirectory
 
 TRAJECTORY = "trajectory.tum"
 MAP = "map.json"
@@ -64,7 +66,7 @@ class OutputDirectory:
         self._target = path.resolve()
         self._overwrite, self._reserved = overwrite, reserved
         self._work: WorkDirectory | None = None
-        self._answers = 0
+        self._control, self._announcing = RunAnnouncement(os.getpid()), threading.Lock()
         self._own: int | None = None  # inode of the target if it is a saved state of this run
 
     def __enter__(self) -> Path:
@@ -97,12 +99,15 @@ class OutputDirectory:
         if isinstance(error, OSError):
             raise OutputError(f"{self.path}: cannot be written: {error.strerror or error}") from error
 
-    def announce(self, problem: str = "") -> None:
-        """State that this process saves on SIGUSR1, so that `running_process` finds it, and why it did not, if so."""
+    def announce(self, change: Callable[[RunAnnouncement], RunAnnouncement]) -> None:
+        """State that this process handles signals, so that `running_process` finds it; may be called in any thread.
+
+        change  returns what is stated from now on, from what was before
+        """
         assert self._work is not None
-        with suppress(OSError):
-            self._work.announce(self._answers, problem)
-        self._answers += 1
+        with self._announcing, suppress(OSError):
+            self._control = change(self._control)
+            self._work.announce(self._control)
 
     def save(self, write: Callable[[Path], None]) -> None:
         """Replace the output directory by a complete state of the run, while the block goes on.

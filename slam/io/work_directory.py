@@ -11,18 +11,38 @@ import os
 import re
 import tempfile
 from contextlib import suppress
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from .disk_reserve import DiskReserve
 
 CONTROL = "running.json"
-"""File in the directory of a run that saves on SIGUSR1: its process, how often it answered, and the last problem."""
+"""File in the directory of a run that saves on SIGUSR1 and changes its mode on SIGUSR2, see `RunAnnouncement`."""
 
-MAX_PROBLEM, CONTROL_SIZE = 400, 4096
+MAX_PROBLEM, CONTROL_SIZE = 400, 8192
 """Characters of a problem, of which JSON needs at most six bytes each, and bytes of the file."""
 RESERVE = "reserve"
 """File in the directory of a run that holds disk space."""
+
+
+@dataclass(frozen=True, slots=True)
+class RunAnnouncement:
+    """What other processes know of a run.
+
+    process        its number
+    saves          how often it was requested to save, and did so or could not
+    save_problem   why the last save failed; empty if it did not
+    frozen         True if the map is only localised in, False if it is extended; None before signals are handled
+    switches       how often its mode was requested to change
+    switch_problem why the mode was not changed the last time; empty if it was
+    """
+
+    process: int
+    saves: int = 0
+    save_problem: str = ""
+    frozen: bool | None = None
+    switches: int = 0
+    switch_problem: str = ""
 
 
 class WorkDirectory:
@@ -49,9 +69,13 @@ class WorkDirectory:
             os.close(self._lock)
             self._lock = -1
 
-    def announce(self, answers: int, problem: str = "") -> None:
-        """State that this process saves its map on SIGUSR1, how often it answered, and why it could not save, if so."""
-        text = json.dumps({"process": os.getpid(), "answers": answers, "problem": problem[:MAX_PROBLEM]})
+    def announce(self, control: RunAnnouncement) -> None:
+        """State that this process handles signals, and how it answered them."""
+        problems = {
+            "save_problem": control.save_problem[:MAX_PROBLEM],
+            "switch_problem": control.switch_problem[:MAX_PROBLEM],
+        }
+        text = json.dumps(asdict(control) | problems)
         descriptor = os.open(self.path / CONTROL, os.O_WRONLY | os.O_CREAT, 0o666)
         try:  # overwritten in place, which needs no space on a full disk
             os.pwrite(descriptor, text.ljust(CONTROL_SIZE).encode(), 0)
@@ -73,13 +97,13 @@ def left_behind(target: Path) -> list[Path]:
     return [entry for entry in _work_directories(target) if not _is_locked(entry)]
 
 
-def running_process(target: Path) -> dict[str, Any] | None:
+def running_process(target: Path) -> RunAnnouncement | None:
     """Return what the process that writes to `target` announced; None if none runs that saves on SIGUSR1."""
     for entry in _work_directories(target):
         if _is_locked(entry):
-            with suppress(OSError, ValueError):
-                control = json.loads((entry / CONTROL).read_text(encoding="utf-8"))
-                if isinstance(control, dict) and isinstance(control.get("process"), int):
+            with suppress(OSError, ValueError, TypeError):
+                control = RunAnnouncement(**json.loads((entry / CONTROL).read_text(encoding="utf-8")))
+                if isinstance(control.process, int):
                     return control
     return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import math
 from array import array
 
 import numpy as np
@@ -12,6 +13,12 @@ from drivers.messages import Odometry
 
 from ..geometry.segments import Floats
 
+# Seconds over which the velocity at the first readings is measured, and between readings that are added before them.
+# Origin: chosen, several periods of common bases; not measured.
+EVEN_SECONDS = 0.1
+# Seconds before the first reading for which the robot is taken to have moved evenly: before, it is taken to have stood.
+# Origin: chosen, a little longer than an Arduino boots when its port is opened.
+MAX_EXTENSION = 2.0
 # Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
 # Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
 TRAVEL_PER_RADIAN = 0.25
@@ -49,6 +56,28 @@ class OdometryHistory:
             return
         self._stamps.append(reading.stamp)
         self._poses.extend(reading.pose)
+
+    def extend_back(self, stamp: float) -> None:
+        """Prepend readings back to a stamp, as if the robot had moved as evenly before the first one as after it."""
+        if len(self) < 2:
+            return
+        first, pose = self._stamps[0], self._pose(0)
+        span = min(EVEN_SECONDS, self.latest - first)
+        back = se2.inverse(EVEN_SECONDS / span * se2.between(pose, self.at(first + span)))
+        stamps, poses = array("d"), array("d")
+        for k in range(1, 1 + math.ceil((first - max(stamp, first - MAX_EXTENSION)) / EVEN_SECONDS)):
+            pose = se2.compose(pose, back)
+            stamps.insert(0, first - k * EVEN_SECONDS)
+            poses = array("d", pose) + poses
+        if stamp < stamps[0]:
+            stamps.insert(0, stamp)
+            poses = poses[:3] + poses
+        self._stamps, self._poses = stamps + self._stamps, poses + self._poses
+
+    @property
+    def earliest(self) -> float:
+        """Stamp of the first reading, inf without one."""
+        return self._stamps[0] if self._stamps else np.inf
 
     @property
     def latest(self) -> float:

@@ -15,9 +15,9 @@ from ..geometry.segments import CornerPoints, Segments
 from ..matching.line_matcher import ScanFeatures
 from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import OdometryHistory
+from ..odometry.history import EVEN_SECONDS, OdometryHistory
 from .lidar_features import LidarFeatures, joined
-from .scan_queue import MAX_QUEUED_SCANS, ScanPair, ScanQueue
+from .scan_queue import ScanPair, ScanQueue
 
 # Features of an empty scan. Origin: definition.
 NO_FEATURES = ScanFeatures(
@@ -58,9 +58,8 @@ class Preprocessor:
         self._first = LidarFeatures(config.lidar, config.features, sigma_range)
         self._second = LidarFeatures(config.second_lidar, config.features, second_sigma_range)
         self._second_is_known = second_sigma_range is not None
-        self._queue = ScanQueue(
-            two_lidars=bool(config.second_lidar.topic), predicts_odometry=config.odometry.source == "none"
-        )
+        self._predicts_odometry = config.odometry.source == "none"
+        self._queue = ScanQueue(two_lidars=bool(config.second_lidar.topic), predicts_odometry=self._predicts_odometry)
         self.odometry = OdometryHistory()
         self.scans = 0
         self.second_scans = 0
@@ -89,7 +88,7 @@ class Preprocessor:
             return
         self.scans += 1
         self.empty_scans += not np.isfinite(message.ranges).any()
-        if not len(self.odometry) and len(self._queue) > MAX_QUEUED_SCANS:
+        if not len(self.odometry) and self._queue.is_full:
             self._queue.drop_oldest()
             self.scans_without_odometry += 1
 
@@ -107,9 +106,15 @@ class Preprocessor:
         """Remove and return the oldest scan if odometry covers its sweep; None otherwise.
 
         With it is the scan of a second lidar that is joined with it. A scan is also returned if too many wait, or on
-        `flush`, when no more odometry will come.
+        `flush`, when no more odometry will come. Scans from before the first odometry wait for its first readings,
+        which show how the robot moved: a base may have booted while the robot was moving.
         """
-        return self._queue.take(self.odometry.latest, flush=flush) if len(self.odometry) else None
+        odometry, queue = self.odometry, self._queue
+        if len(odometry) and queue.earliest < odometry.earliest and not self._predicts_odometry:
+            if not flush and not queue.is_full and odometry.latest < odometry.earliest + EVEN_SECONDS:
+                return None
+            odometry.extend_back(queue.earliest)
+        return queue.take(odometry.latest, flush=flush) if len(odometry) else None
 
     def process(self, pair: ScanPair, odometry_model: OdometryModel) -> ProcessedScan:
         """De-skew a scan and extract its segments, corners and the points on neither.

@@ -68,6 +68,16 @@ class ScanQueue:
         """All scans in the queue, those of the first lidar before those of the second."""
         return [*self._first, *self._second]
 
+    @property
+    def earliest(self) -> float:
+        """Stamp of the earliest scan, inf without one."""
+        return min((queue[0].stamp for queue in (self._first, self._second) if queue), default=np.inf)
+
+    @property
+    def is_full(self) -> bool:
+        """True if more scans wait than should."""
+        return len(self) > MAX_QUEUED_SCANS
+
     def add(self, scan: Scan) -> None:
         """Append a scan."""
         middle = sweep_middle(scan)
@@ -95,7 +105,7 @@ class ScanQueue:
         if not self._first:
             return None
         scan = self._first[0]
-        waits = not (flush or len(self._first) > MAX_QUEUED_SCANS)
+        waits = not (flush or self.is_full)
         if waits and _end(scan) > covered:
             return None
         low, high = self._window(sweep_middle(scan)) if self._two_lidars else (-np.inf, -np.inf)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers import se2
 from drivers.messages import Odometry
 from drivers.recordings.ros_messages import DIAGNOSTICS, TRANSFORMS
 from drivers.ros2.encoder import (
@@ -32,6 +31,7 @@ from ..events import (
     KeyframeAdded,
     LoopDecided,
     MapUpdated,
+    ModeChanged,
     Notice,
     ScanTracked,
     StateChanged,
@@ -70,8 +70,8 @@ class _RunState:
 
     extrapolator     extrapolates the pose of the last scan
     transform_stamp  stamp of the last odometry reading with a transform, `status_stamp` that of the last status
-    pose             of the base in the map at the last scan; None before the first
     counts           sizes of map and graph
+    frozen           True while the map is only localised in
     closures         keyframe at which each loop was closed -> keyframe that saw the place before
     """
 
@@ -79,9 +79,9 @@ class _RunState:
     transform_stamp: float = float("-inf")
     status_stamp: float = float("-inf")
     status: LocalisationStatus = LocalisationStatus.OK
-    pose: se2.Pose | None = None
     counts: dict[str, str] = field(default_factory=dict)
     closures: dict[int, int] = field(default_factory=dict)
+    frozen: bool = False
     notice: str = ""
     suspects: list[str] = field(default_factory=list)
 
@@ -134,11 +134,6 @@ class NodeOutputs:
         return None if self._grid is None else self._grid.current()
 
     @property
-    def pose(self) -> se2.Pose | None:
-        """Pose of the base in the map at the last scan of the present run or of the last one; None while it is lost."""
-        return None if self._run.status is LocalisationStatus.LOST else self._run.pose
-
-    @property
     def _lidars(self) -> Floats:
         """Positions (k, 2) of the lidars on the base."""
         return np.array([*self.lidars.values()])
@@ -150,7 +145,6 @@ class NodeOutputs:
             self._run.extrapolator.handle(event)
         match event:
             case ScanTracked():
-                self._run.pose = event.pose
                 self._finish_scan(event)
             case KeyframeAdded():
                 self._run.counts = {name: str(count) for name, count in event.counts.items()}
@@ -162,6 +156,9 @@ class NodeOutputs:
                 self._keep_closure(event)
             case StateChanged():
                 self._run.status = LocalisationStatus(event.state)
+                self._publish_status(event.stamp)
+            case ModeChanged():
+                self._run.frozen = event.frozen
                 self._publish_status(event.stamp)
             case Notice():
                 self._run.notice = event.text
@@ -212,7 +209,8 @@ class NodeOutputs:
         level, text = LEVELS[run.status], run.status.value
         if run.suspects:
             level, text = max(level, Level.WARN), f"{text}, SUSPECT {run.suspects[0]}"
-        values = {**run.counts, "notice": run.notice, "grid": self._grid.problem if self._grid else ""}
+        mode = "localization" if run.frozen else "mapping"
+        values = {**run.counts, "mode": mode, "notice": run.notice, "grid": self._grid.problem if self._grid else ""}
         name = f"{self._node}: localisation"
         self._put_diagnostics(self._encoder.status(stamp - self.shift, name, level, text, values))
 

@@ -1,4 +1,4 @@
-"""Requests that end a run of the node, handed from the threads of the services to the thread of the run."""
+"""Requests to the run of the node, handed from the threads of the services to its thread; most of them end it."""
 
 from __future__ import annotations
 

@@ -127,10 +127,7 @@ class NodeServices:
         frozen = bool(request.data)
         succeeded = self._control.request(SetMode(frozen))
         done = f"the map {'is only localised in' if frozen else 'is extended'} from now on"
-        return {
-            "success": succeeded,
-            "message": done if succeeded else "not possible: there is no map that can be extended",
-        }
+        return {"success": succeeded, "message": done if succeeded else "not possible; the node has printed why"}
 
     def _reset(self, request: Any) -> dict[str, Any]:
         self._receiver.paused = bool(request.pause_new_measurements)

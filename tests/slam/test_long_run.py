@@ -12,7 +12,7 @@ from drivers.messages import Message, Odometry, Scan
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.estimation.journal import STANDING_SCANS, UNDECIDED_SCANS
+from slam.estimation.journal import STANDING_SCANS, UNDECIDED_SCANS, Journal
 from slam.events import Finished
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
@@ -97,3 +97,34 @@ def test_features_of_old_scans_are_not_kept_while_the_robot_is_only_localised(
     assert len(scans) > len(session.scans) + 100
     assert sum(len(scan.features.points.all) > 0 for scan in scans) <= mapped + 10
     assert len(slam.finish().poses)
+
+
+def test_features_in_familiar_places_are_not_kept_wherever_the_last_keyframe_is() -> None:
+    """The robot drives one way forth and back until all of it is familiar."""
+    simulation = Simulation("room", seed=3, duration=40.0, lidar=LidarModel(beams=180, rate=RATE))
+    once = [message for message in simulation if isinstance(message, Odometry | Scan)]
+    slam, keyframes, kept = Slam(), list[int](), list[int]()
+    for lap in range(16):
+        for message in once if lap % 2 == 0 else reversed(once):
+            after = message.stamp - once[0].stamp if lap % 2 == 0 else once[-1].stamp - message.stamp
+            still = replace(message, time_offsets=np.zeros(180)) if isinstance(message, Scan) else message
+            slam.add(replace(still, stamp=61.0 * lap + after))
+        keyframes.append(slam.slam_state.mapper.keyframe_count)
+        kept.append(int(slam.snapshot().session.scans.has_features.sum()))
+    assert keyframes[-3] == keyframes[-1]
+    assert kept[-3] == kept[-1]
+
+
+def test_features_of_a_keyframe_are_kept_although_it_seemed_to_be_in_a_familiar_place(
+    live: tuple[Slam, Finished],
+) -> None:
+    """A new part of the map begins with the scans that fitted nowhere, when the robot is found to be lost."""
+    scans = list(live[0].session.scans)[: UNDECIDED_SCANS + 5]
+    journal = Journal(keep_all_features=False)
+    for scan in scans:
+        journal.add(scan)
+        journal.mark_last_familiar()
+        journal.mark_decided([scans[2].stamp, scans[-2].stamp])
+    assert journal.scans.has_features.tolist() == [False, False, True, False, False] + [True] * UNDECIDED_SCANS
+    journal.mark_last_decided([scans[2].stamp, scans[-2].stamp])
+    assert np.flatnonzero(journal.scans.has_features).tolist() == [2, len(scans) - 2]

@@ -11,6 +11,7 @@ from ...events import (
     Event,
     KeyframeAdded,
     LoopDecided,
+    ModeChanged,
     Notice,
     Relocalised,
     ScanTracked,
@@ -35,13 +36,13 @@ class LiveDashboard:
     drive_keys  explanation of the keys that drive the robot; empty: there are none
     """
 
-    handled = (ScanTracked, KeyframeAdded, StateChanged, LoopDecided, Notice, Relocalised)
+    handled = (ScanTracked, KeyframeAdded, StateChanged, ModeChanged, LoopDecided, Notice, Relocalised)
 
     def __init__(self, drive_keys: str = "") -> None:
         self._drive_keys = drive_keys
         self._start = time.monotonic()
         self._scan: ScanTracked | None = None
-        self._state = "OK"
+        self._state, self._frozen = "OK", False
         self._loops: Counter[str] = Counter()
         self._counts: dict[str, int] = {}
         self._notice = ""
@@ -56,6 +57,8 @@ class LiveDashboard:
             case StateChanged():
                 self._state = event.state
                 print_message(f"localisation status: {event.state}")
+            case ModeChanged():
+                self._frozen = event.frozen
             case LoopDecided():
                 self._loops[event.status] += 1
                 if event.status in (LoopStatus.ACCEPTED, LoopStatus.RETRACTED):
@@ -78,7 +81,8 @@ class LiveDashboard:
         table = Table.grid(padding=(0, 2))
         minutes, seconds = divmod(int(time.monotonic() - self._start), 60)
         table.add_row("time", f"{minutes}:{seconds:02d}{self._delay()}")
-        table.add_row("status", f"[bold {COLOURS[self._state]}]{self._state}")
+        mode = ", the map is only localised in" if self._frozen else ""
+        table.add_row("status", f"[bold {COLOURS[self._state]}]{self._state}[/]{mode}")
         if self._scan is not None:
             x, y, heading = self._scan.pose
             table.add_row("pose", f"{x:.2f} m, {y:.2f} m, {math.degrees(heading):.0f}°")
@@ -90,7 +94,7 @@ class LiveDashboard:
         if self._notice:
             table.add_row("notice", self._notice)
         table.add_row("dropped, late", f"{snapshot.dropped}, {snapshot.late}")
-        table.add_row("keys", "s: save the map now, Ctrl-C: save and end")
+        table.add_row("keys", "s: save the map now, l: only localise or extend the map, Ctrl-C: save and end")
         if self._drive_keys:
             table.add_row("", self._drive_keys)
         return table

@@ -87,9 +87,11 @@ class LiveInput:
         """
         from ..acquisition_loop import stop_on_signals
         from ..message_pump import MessagePump
+        from ..switch_interval import short_switch_interval
 
         with (
             self._acquisition as acquisition,
+            short_switch_interval(),
             MessagePump(acquisition, self._show_pose) as pump,
             stop_on_signals(pump, STOP_MESSAGE),
         ):

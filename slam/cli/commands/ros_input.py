@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ...events import Sink
     from ...ros.outputs import NodeOutputs
     from ...ros.run_control import RunControl
+    from ..mode_switch import ModeSwitch
     from ..run_setup import RunSetup
 
 STOP_MESSAGE = "stopping; Ctrl-C again discards the map"
@@ -42,7 +43,8 @@ class RosInput:
     start     settings, and the session that the run continues, if any
     duration  seconds; None: until a signal arrives
     keep      false: the run is discarded at its end, by DiscardedError
-    control   requests that end the run: those for another map by RestartRequestedError, the others normally
+    control   requests: those for another map end the run by RestartRequestedError, those to save it normally
+    modes     switch between mapping and localisation
     """
 
     finite = False
@@ -57,6 +59,7 @@ class RosInput:
         duration: float | None,
         keep: bool,
         control: RunControl,
+        modes: ModeSwitch,
         sinks: Sequence[Sink] = (),
     ) -> None:
         self.name = f"ROS 2: {', '.join(receiver.inputs.scan_topics)}"
@@ -64,7 +67,7 @@ class RosInput:
         self._receiver = receiver
         self._outputs, self._start = outputs, start
         self._duration, self._keep, self._control = duration, keep, control
-        self._has_session = start.resumed is not None and bool(start.resumed.scans)  # and not a plan
+        self._modes = modes
         self._missing: list[str] = []
         self._idle: Callable[[], None] = lambda: None
 
@@ -130,18 +133,12 @@ class RosInput:
         if isinstance(self._control.pending, Restart):
             raise RestartRequestedError
         if isinstance(self._control.pending, Save):
-            if not self._start.frozen:
+            if self._modes.extends_map:
                 raise _SaveRequestedError
             print_message("serialize_map: the map is only localised in and does not change; nothing is written")
             self._control.answer(False)
         if isinstance(self._control.pending, SetMode):
-            if self._control.pending.frozen and not self._start.frozen:
-                raise _SaveRequestedError
-            if self._start.frozen and not self._control.pending.frozen:
-                if self._has_session:
-                    raise RestartRequestedError
-                print_message("set_localization_mode: a plan cannot be extended; --plan maps with it")
-            self._control.answer(self._start.frozen == self._control.pending.frozen)
+            self._control.answer(self._modes.set(self._control.pending.frozen))
         missing = self._receiver.missing()
         if missing != self._missing:
             news = [line for line in missing if line not in self._missing]

@@ -13,18 +13,19 @@ from drivers.errors import SlamError
 from ...errors import MapError
 from ...io.output_dir import OutputDirectory
 from ...io.sessions import read_session
-from ...ros.run_control import Restart, RestartRequestedError, RunControl, Save, SetMode
+from ...ros.run_control import Restart, RestartRequestedError, RunControl, Save
 from ..console import print_message
+from ..mode_switch import ModeSwitch
 from ..run_setup import RunSetup
 from ..run_summary import format_summary
 from ..slam_run import run_slam
+from ..switch_interval import short_switch_interval
 from .live_dashboard import LiveDashboard
 from .ros_input import DiscardedError, RosInput
 
 if TYPE_CHECKING:
     from drivers.ros2.receiver import RosReceiver
 
-    from ...io.sessions import StoredSession
     from ...ros.outputs import NodeOutputs
 
 
@@ -43,37 +44,35 @@ class RosNode:
 
         Raises SlamError.
         """
-        with tempfile.TemporaryDirectory(prefix="wclm-ros-") as folder:
-            target, shown, mapped = out or Path(folder) / "map", review and out is not None, list[str]()
+        with tempfile.TemporaryDirectory(prefix="wclm-ros-") as folder, short_switch_interval():
+            target, shown, modes = out or Path(folder) / "map", review and out is not None, ModeSwitch()
             while True:
-                # While the robot only localises in a map that the node has made, that stays the result.
-                place, keep = (Path(folder) / "localised", False) if mapped else (target, out is not None)
-                unchanged = start.resumed.copy() if start.frozen and start.resumed is not None else None
                 try:
-                    lines = self._run_once(start, place, keep, overwrite, shown and not mapped, duration)
+                    lines = self._run_once(start, target, out is not None, overwrite, shown, duration, modes)
                 except DiscardedError:
-                    if mapped and out is not None:
-                        return mapped
                     return ["stopped; nothing was written, as there is no --out"]
                 except RestartRequestedError:
-                    start, mapped = self._restarted(start, unchanged), []
-                    overwrite = overwrite or target.exists()
+                    start, modes, overwrite = self._restarted(start), ModeSwitch(), overwrite or target.exists()
                     continue
                 except MapError as error:
-                    if not isinstance(self.control.pending, Save | SetMode):
+                    if not isinstance(self.control.pending, Save):
                         raise
-                    print_message(f"the map is not finished: {error}")
+                    print_message(f"serialize_map: the map is not finished: {error}")
                     self.control.answer(False)
                     continue
-                if isinstance(self.control.pending, SetMode):
-                    start, overwrite, mapped = self._localising(start, target), True, lines
-                elif isinstance(self.control.pending, Save):
-                    start, overwrite = self._saved(start, target), True
-                else:
+                if not isinstance(self.control.pending, Save):
                     return lines
+                start, overwrite, modes = self._saved(start, target), True, modes.continued()
 
     def _run_once(
-        self, start: RunSetup, target: Path, keep: bool, overwrite: bool, review: bool, duration: float | None
+        self,
+        start: RunSetup,
+        target: Path,
+        keep: bool,
+        overwrite: bool,
+        review: bool,
+        duration: float | None,
+        modes: ModeSwitch,
     ) -> list[str]:
         run_input = RosInput(
             self.receiver,
@@ -82,33 +81,21 @@ class RosNode:
             duration=duration,
             keep=keep,
             control=self.control,
+            modes=modes,
             sinks=(LiveDashboard(),),
         )
-        result = run_slam(run_input, start, target, overwrite=overwrite, review=review, picture=False)
+        result = run_slam(run_input, start, target, overwrite=overwrite, review=review, picture=False, modes=modes)
         return format_summary(result, target)
 
-    def _restarted(self, start: RunSetup, unchanged: StoredSession | None) -> RunSetup:
-        """Return the setup of the run that was requested.
-
-        unchanged  session that the run has localised in; None if it has mapped
-        """
+    def _restarted(self, start: RunSetup) -> RunSetup:
+        """Return the setup of the run that was requested."""
         request = self.control.pending
+        assert isinstance(request, Restart)
         self.receiver.discard()
         self.control.answer(True)
-        if isinstance(request, SetMode):
-            print_message("the map is extended from now on")
-            return replace(start, resumed=unchanged, frozen=False, pose=self.outputs.pose)
-        assert isinstance(request, Restart)
         print_message("the map is discarded; a new run begins")
         plan = start.plan if request.session is None else None  # a map without a session begins as the first one did
         return RunSetup(start.config, request.session, request.frozen, request.pose, plan)
-
-    def _localising(self, start: RunSetup, target: Path) -> RunSetup:
-        """Return the setup of a run that only localises in the finished map, from where the robot is."""
-        following = replace(start, resumed=read_session(target), frozen=True, pose=None, plan=None)
-        self.control.answer(True)
-        print_message("the map is only localised in from now on, and stays as it is")
-        return following
 
     def _saved(self, start: RunSetup, target: Path) -> RunSetup:
         """Copy the finished run to where it was requested; return the setup of the run that continues it."""
@@ -122,7 +109,7 @@ class RosNode:
             succeeded = True
         except (SlamError, OSError) as error:
             print_message(f"serialize_map: {error}")
-        following = replace(start, resumed=read_session(target, solve=False), pose=None, plan=None)
+        following = replace(start, resumed=read_session(target, solve=False), frozen=False, pose=None, plan=None)
         if start.plan is not None:
             print_message("the run goes on with what the map has of the plan, and without the plan")
         self.control.answer(succeeded)

@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import signal
-import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ...errors import OutputError
-
-TIMEOUT = 120.0
-"""Seconds to wait for the map, which a slow disk needs some seconds for."""
-POLL_PERIOD = 0.1
-"""Seconds."""
 
 
 def save(
@@ -27,17 +20,9 @@ def save(
 
     Example: [bold]wclm save map[/bold]
     """
-    from ...io.work_directory import running_process
+    from ..live_requests import find_run, send_request
 
-    before = running_process(out)
-    if before is None:
-        raise OutputError(f"{out}: no live run is writing it")
-    os.kill(before["process"], signal.SIGUSR1)
-    end = time.monotonic() + TIMEOUT
-    while (now := running_process(out)) is not None and now["answers"] == before["answers"]:
-        if time.monotonic() > end:
-            raise OutputError(f"{out}: the live run has not saved its map within {TIMEOUT:g} s")
-        time.sleep(POLL_PERIOD)
-    if now is not None and now["problem"]:
-        raise OutputError(now["problem"])
-    typer.echo(f"{out}: {'saved' if now is not None else 'the run has ended'}")
+    answer = send_request(out, find_run(out), signal.SIGUSR1, lambda control: control.saves)
+    if answer is not None and answer.save_problem:
+        raise OutputError(answer.save_problem)
+    typer.echo(f"{out}: {'saved' if answer is not None else 'the run has ended'}")

@@ -83,7 +83,9 @@ class LiveState:
         self._lock = threading.RLock()
         self._parts: dict[str, _Part] = {}
         self._recent: list[KeyframeAdded] = []
-        self._status: dict[str, Any] = {"state": "OK", "finished": False, "paused": False, "message": ""}
+        self._status: dict[str, Any] = {
+            "state": "OK", "finished": False, "paused": False, "frozen": False, "message": "",
+        }  # fmt: skip
         self._doubts: deque[list[Any]] = deque(maxlen=MAX_MESSAGES)
         self._closures: deque[list[Any]] = deque(maxlen=MAX_MESSAGES)
         self._begin: float | None = None  # stamp of the first scan

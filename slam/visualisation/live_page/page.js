@@ -69,12 +69,15 @@
       ? `${pose[0].toFixed(2)} m, ${pose[1].toFixed(2)} m, ${Math.round(pose[2] * 180 / Math.PI)}°${sigma()}` : "";
     if (!status) return;
     const ended = status.finished ? "the run is over" : "no connection";
-    $("note").textContent = online && !status.finished ? (status.paused ? "paused; " : "") + status.message : ended;
+    $("note").textContent = online && !status.finished ? (status.paused ? "paused; " : "") + (status.frozen ? "only localising; " : "") + status.message : ended;
     $("state").textContent = status.state;
     $("state").className = `badge ${online || status.finished ? status.state : ""}`;
     if (shownStatus === status) return;
     shownStatus = status;
     $("save").hidden = !status.can_save;
+    $("freeze").hidden = !status.can_freeze;
+    $("freeze").textContent = status.frozen ? "Extend map" : "Only localise";
+    $("freeze").setAttribute("aria-pressed", String(status.frozen));
     $("pause").hidden = !status.can_pause;
     $("pause").textContent = status.paused ? "Continue" : "Pause";
     $("pause").setAttribute("aria-pressed", String(status.paused));
@@ -272,6 +275,7 @@
   // Buttons and driving
 
   $("save").addEventListener("click", () => send({ save: true }));
+  $("freeze").addEventListener("click", () => send({ freeze: !parts.status.frozen }));
   $("pause").addEventListener("click", () => send({ pause: !parts.status.paused }));
   let command = [0, 0]; // shares of the limits: forwards, counter-clockwise
   const drive = (forwards, left) => {

@@ -45,12 +45,14 @@ class PageActions:
 
     save   saves the map
     pause  drops scans, or uses them again
+    freeze  only localises in the map, or extends it again
     drive  drives at a speed (m/s) and a turn rate (rad/s)
     limits  highest speed and turn rate
     """
 
     save: Callable[[], None] | None = None
     pause: Callable[[bool], None] | None = None
+    freeze: Callable[[bool], None] | None = None
     drive: Callable[[float, float], None] | None = None
     limits: tuple[float, float] = (0.0, 0.0)
 
@@ -147,6 +149,8 @@ class Client(WebSocketHandler):
             actions.save()
         if isinstance(content.get("pause"), bool) and actions.pause is not None:
             actions.pause(content["pause"])
+        if isinstance(content.get("freeze"), bool) and actions.freeze is not None:
+            actions.freeze(content["freeze"])
         if "drive" in content and actions.drive is not None:
             self._drive(content["drive"], content.get("time"))
 

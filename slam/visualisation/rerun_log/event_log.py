@@ -25,6 +25,7 @@ from ...events import (
     KeyframeAdded,
     LoopDecided,
     MapUpdated,
+    ModeChanged,
     Notice,
     Relocalised,
     ScanTracked,
@@ -127,6 +128,10 @@ class EventLog:
             case StateChanged():
                 self._at_last_keyframe(event.stamp)
                 self._status_layer.log_change(event)
+            case ModeChanged():
+                self._at_last_keyframe(event.stamp)
+                mode = "only localised in" if event.frozen else "extended"
+                self._log_text(f"the map is {mode} from now on", "INFO")
             case Relocalised():
                 self._write_relocalisation(event)
             case GroundTruthReceived():

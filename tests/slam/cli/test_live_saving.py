@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import pty
 import signal
 import subprocess
 import sys
 import termios
+import threading
 import time
 from itertools import pairwise
 from pathlib import Path
@@ -68,6 +70,39 @@ def test_a_lost_terminal_ends_the_run_with_a_complete_map(tmp_path: Path, wclm: 
     assert "unfinished" not in run.summary
 
 
+def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Path, wclm: Any) -> None:
+    out, status = tmp_path / "map", tmp_path / "status.json"
+    terminal, inner = pty.openpty()
+
+    def frozen() -> bool:
+        return bool(json.loads(status.read_text())["frozen"])
+
+    with Robot(tmp_path) as robot:
+        options = ("--no-serve", "--no-review", "--status", str(status))
+        run = LiveRun(robot, out, *options, stdin=inner, preexec_fn=use_as_terminal)
+        os.close(inner)
+        wait_for(lambda: wclm("mode", out, "localization").exit_code == 0, run.process)  # there is a map by then
+        wait_for(frozen, run.process)
+        assert wclm("mode", out).stdout == f"{out}: localization\n"
+        assert wclm("mode", out, "localization").exit_code == 0
+        assert wclm("save", out).exit_code == 0
+        keyframes = run.summary["keyframes"]
+        time.sleep(2.0)
+        assert wclm("save", out).exit_code == 0
+        assert run.summary["keyframes"] == keyframes
+        os.write(terminal, b"l")
+        wait_for(lambda: not frozen(), run.process)
+        assert wclm("mode", out).stdout == f"{out}: mapping\n"
+        time.sleep(2.0)
+        assert wclm("mode", out, "localization").exit_code == 0
+        code, _, err = run.end()
+        os.close(terminal)
+    assert (code, "Traceback" in err) == (0, False), err
+    assert run.summary["keyframes"] > keyframes
+    assert names(out / SESSION)
+    wclm.refuses("mode", out, "mapping", because=["map: no live run is writing it"])
+
+
 @pytest.mark.slow
 def test_a_killed_run_leaves_the_saved_map_and_is_recovered(tmp_path: Path, wclm: Any) -> None:
     out = tmp_path / "map"
@@ -109,6 +144,29 @@ def test_a_failing_save_does_not_end_the_run(
     (message,) = capsys.readouterr().err.splitlines()  # the second one is equal
     assert message.startswith(f"wclm: {tmp_path / 'map'}: ")
     assert message.endswith("; the run goes on")
+
+
+def test_less_than_a_minute_of_the_map_is_not_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, saved = [1000.0], [1000.0]
+    monkeypatch.setattr("slam.cli.autosave.time.monotonic", lambda: now[0])
+
+    def write(place: Path) -> None:
+        (place / SUMMARY).write_text("{}")
+        saved.append(now[0])
+
+    with (output := OutputDirectory(tmp_path / "map")), Autosave(output, lambda: write, TerminalKeys()) as autosave:
+        while now[0] < 1300.0:
+            autosave.poll()
+            now[0] += 1.0
+            wait_until_saved()
+    assert max(later - before for before, later in pairwise([*saved, now[0]])) < 60.0
+
+
+def wait_until_saved() -> None:
+    """Wait for the threads that save."""
+    for thread in threading.enumerate():
+        if thread.name == "autosave":
+            thread.join()
 
 
 def test_saves_that_take_long_are_made_less_often(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -284,13 +285,13 @@ def test_a_run_on_a_full_disk_answers(tmp_path: Path) -> None:
         assert running_process(tmp_path / "out") is None
         sizes = set()
         for problem in ("", "out: cannot be saved: No space left on device", "ü\n" * 1000, ""):
-            output.announce(problem)
+            output.announce(lambda before, text=problem: replace(before, saves=before.saves + 1, save_problem=text))
             control = running_process(tmp_path / "out")
             assert control is not None
-            assert control["process"] == os.getpid()
-            assert problem.startswith(control["problem"])
+            assert control.process == os.getpid()
+            assert problem.startswith(control.save_problem)
             sizes.add(directory_size(directory))
-        assert control["answers"] == 3
+        assert control.saves == 4
     assert len(sizes) == 1
     assert contents(tmp_path / "out") == {}
     assert running_process(tmp_path / "out") is None
@@ -300,7 +301,8 @@ def test_results_of_a_killed_run_are_recovered(tmp_path: Path) -> None:
     out = earlier_results(tmp_path, True)
     code = (
         "import os, pathlib, sys; from slam.io.output_dir import *; output = OutputDirectory(pathlib.Path(sys.argv[1]),"
-        " True, reserved=True); work = output.__enter__(); (work / REVIEW).write_text('log'); output.announce()\n"
+        " True, reserved=True); work = output.__enter__(); (work / REVIEW).write_text('log')\n"
+        "output.announce(lambda before: before)\n"
         "for text in ('saved', 'saved again'): output.save(lambda place: (place / SUMMARY).write_text(text))\n"
         "os.kill(os.getpid(), 9)"
     )

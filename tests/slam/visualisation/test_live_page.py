@@ -233,17 +233,20 @@ def test_buttons_save_pause_and_drive_within_the_limits() -> None:
         actions = server.actions
         actions.save = lambda: done.append("save")
         actions.pause = done.append
+        actions.freeze = lambda frozen: done.append(f"frozen: {frozen}")
         actions.drive = lambda speed, turn_rate: done.append((speed, turn_rate))
         actions.limits = 0.3, 1.0
 
         async def test() -> None:
             client, now = await connect(server), 5000.0
             useless = ("", "[1]", '{"drive": [1]}', '{"drive": [1, "a"], "time": 0}', '{"drive": [1, NaN], "time": 0}')
-            for text in (*useless, '{"drive": [1, 1]}', '{"pause": 1}', '{"save": 2}'):
+            for text in (*useless, '{"drive": [1, 1]}', '{"pause": 1}', '{"save": 2}', '{"freeze": 0}'):
                 await client.write_message(text)
             for content in (
                 {"save": True},
                 {"pause": True},
+                {"freeze": True},
+                {"freeze": False},
                 {"drive": [0.5, -1.0], "time": now},
                 {"drive": [9.0, 0.0], "time": now},
                 {"drive": [1.0, 0.0], "time": now - 2000 * MAX_COMMAND_DELAY},  # held back by the network
@@ -251,7 +254,7 @@ def test_buttons_save_pause_and_drive_within_the_limits() -> None:
                 {"drive": [0.0, 1.0], "time": now},
             ):
                 await client.write_message(json.dumps(content))
-            wanted = ["save", True, (0.15, -1.0), (0.3, 0.0), (0.0, 0.0), (0.0, 1.0)]
+            wanted = ["save", True, "frozen: True", "frozen: False", (0.15, -1.0), (0.3, 0.0), (0.0, 0.0), (0.0, 1.0)]
             await until(lambda: len(done) >= len(wanted))
             assert done == wanted
             client.close()  # while it drives
@@ -266,7 +269,7 @@ def test_a_page_without_permission_to_drive_cannot() -> None:
         async def test() -> None:
             client = await connect(server)
             await frame(client)
-            await client.write_message('{"drive": [1, 0], "time": 1, "save": true, "pause": true}')
+            await client.write_message('{"drive": [1, 0], "time": 1, "save": true, "pause": true, "freeze": true}')
             server.state.update(message="still there")
             assert (await frame(client))["status"]["message"] == "still there"
 
@@ -357,12 +360,12 @@ def test_a_browser_shows_the_grid_if_it_is_switched_on(tmp_path: Path) -> None:
 def test_a_browser_shows_the_run_and_drives(
     width: int, height: int, mobile: bool, finished: Finished, tmp_path: Path
 ) -> None:
-    state, driven = LiveState(), []
+    state, driven, frozen = LiveState(), [], list[bool]()
     state.handle(ScanTracked(10.0, POSE, POSE, 0.9, 4, np.zeros((3, 2))))
     state.handle(MapUpdated(4, 10.0, finished.keyframes, finished.walls, finished.corners, 1.0, 0.0))
     state.handle(StateChanged(11.0, "DEGENERATE", None))
     state.handle(Notice(12.0, "odometry <b>slipped</b>"))
-    state.update(can_drive=True, devices=[("ld06:/dev/a", "lost", "losses 1")])
+    state.update(can_drive=True, can_freeze=True, frozen=True, devices=[("ld06:/dev/a", "lost", "losses 1")])
 
     async def test() -> None:
         assert CHROMIUM is not None
@@ -370,7 +373,13 @@ def test_a_browser_shows_the_run_and_drives(
             await tab.open(server.url, width, height, mobile=mobile)
             await tab.wait("document.getElementById('state').textContent === 'DEGENERATE'")
             document = await tab.evaluate("document.body.innerText")
-            for text in ("1.00 m, 2.00 m, 29°", "odometry <b>slipped</b>", "ld06:/dev/a: lost, losses 1"):
+            for text in (
+                "1.00 m, 2.00 m, 29°",
+                "only localising",
+                "Extend map",
+                "odometry <b>slipped</b>",
+                "ld06:/dev/a: lost, losses 1",
+            ):
                 assert text in document
             assert await tab.evaluate("document.documentElement.scrollWidth") == width
             x, y, size = await tab.evaluate(
@@ -379,6 +388,8 @@ def test_a_browser_shows_the_run_and_drives(
             )
             assert 0 < x - size / 2 < x + size / 2 < width
             assert y + size / 2 < height
+            await tab.evaluate("document.getElementById('freeze').click()")
+            await until(lambda: frozen == [False])
             at = {"x": x, "y": y - 0.4 * size}
             if mobile:
                 await tab.call("Input.dispatchTouchEvent", type="touchStart", touchPoints=[at])
@@ -397,5 +408,5 @@ def test_a_browser_shows_the_run_and_drives(
 
     with served(state) as server:
         server.actions.drive = lambda speed, turn_rate: driven.append((speed, turn_rate))
-        server.actions.limits = 0.3, 1.0
+        server.actions.limits, server.actions.freeze = (0.3, 1.0), frozen.append
         run(test)
