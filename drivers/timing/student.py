@@ -1,9 +1,11 @@
 """Student's distribution: significance of a mean of few values.
 
-Of `scipy.stats` only this is needed, and importing that takes as long as reading a recording of some minutes.
+Only this would be needed of SciPy, and importing that takes as long as reading a recording of some minutes.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
@@ -17,7 +19,22 @@ def statistic(values: Floats) -> float:
 
 
 def upper_limit(probability: float, freedom: int) -> float:
-    """Return what a variable with `freedom` degrees of freedom exceeds with a probability."""
-    from scipy.special import stdtrit  # only here: recordings without turns do not need it
+    """Return what a variable with `freedom` degrees of freedom exceeds with a probability, above 0 and at most 0.5."""
+    low, high = 0.0, 0.5 * math.pi  # of the angle whose tangent is the limit divided by sqrt(freedom)
+    while low < (middle := 0.5 * (low + high)) < high:
+        if _exceeding(middle, freedom) > probability:
+            low = middle
+        else:
+            high = middle
+    return math.sqrt(freedom) * math.tan(low)
 
-    return float(-stdtrit(freedom, probability))
+
+def _exceeding(angle: float, freedom: int) -> float:
+    """Return the probability of exceeding sqrt(freedom) tan(angle), a finite sum (Abramowitz and Stegun 26.7.3-4)."""
+    c, odd = math.cos(angle), freedom % 2
+    term, total = (c if odd else 1.0), 0.0
+    for k in range(1 + odd, freedom, 2):
+        total += term
+        term *= c * c * k / (k + 1)
+    within = math.sin(angle) * total
+    return 0.5 - 0.5 * (2.0 / math.pi * (angle + within) if odd else within)

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import gtsam
 import numpy as np
-from scipy.sparse import coo_array, csc_array, eye_array
-from scipy.sparse.linalg import splu
 
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats, Integers
 
-# Options of SuperLU, with which it orders a symmetric matrix without pivoting. Origin: definition.
-SYMMETRIC = {"permc_spec": "MMD_AT_PLUS_A", "diag_pivot_thresh": 0.0, "options": {"SymmetricMode": True}}
 # A diagonal element that elimination leaves smaller than this share of what it was is zero but for rounding errors.
 # Origin: numerical.
 MIN_PIVOT_SHARE = 1e-14
@@ -42,15 +39,25 @@ class Pattern:
     @classmethod
     def of_pairs(cls, count: int, pairs: Integers) -> Pattern:
         """Find an order with little fill-in for `count` variables, given the pairs (m, 2) whose blocks are not zero."""
-        links = coo_array((np.full(len(pairs), -1.0), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
-        adjacency = (links + links.T).tocsc()
-        dominant = adjacency + (1.0 - adjacency.sum(axis=0).min(initial=0.0)) * eye_array(count)
-        rank = splu(csc_array(dominant), **SYMMETRIC).perm_c.astype(np.int64)
+        rank = _ranks(count, np.unique(np.sort(pairs, axis=1), axis=0))
         ranked = np.sort(rank[pairs], axis=1)
         given = np.unique(ranked[:, 0] * count + ranked[:, 1])
         starts, rows = _fill_in(count, given // count, given % count)
         places = np.sort(np.repeat(np.arange(count), np.diff(starts)) * count + rows)
         return cls(rank, starts, places % count, np.searchsorted(places, ranked[:, 0] * count + ranked[:, 1]))
+
+
+def _ranks(count: int, pairs: Integers) -> Integers:
+    """Return the place (count,) of each variable in an order with little fill-in (COLAMD), given distinct pairs."""
+    graph = gtsam.SymbolicFactorGraph()
+    for variable in range(count):
+        graph.push_factor(variable)
+    for one, other in pairs.tolist():
+        graph.push_factor(one, other)
+    order = gtsam.Ordering.ColamdSymbolicFactorGraph(graph)
+    ranks = np.empty(count, dtype=np.int64)
+    ranks[[order.at(place) for place in range(count)]] = np.arange(count)
+    return ranks
 
 
 def factorise(pattern: Pattern, diagonal: Floats, below: Floats) -> bool:

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from drivers import se2
 
@@ -67,17 +66,17 @@ class DriftCovariance:
         conditions = self._chosen(_conditions_of(mapper))
         self._conditions = conditions
         covariance = self._of_conditions(conditions, conditions) + np.diag(conditions.variance)
-        self._factor = cho_factor(covariance) if len(covariance) else None
+        # turns the conditions into independent ones with variance 1
+        self._whitening = np.linalg.inv(np.linalg.cholesky(covariance)) if len(covariance) else None
 
     def between(self, first: Integers, second: Integers) -> Floats:
         """Return (n, 2, 2) the covariances of the drift of the keyframes `first` (n,) with that of `second` (n,)."""
         prior = self._prior(first, second)
-        if self._factor is None:
+        if self._whitening is None:
             return prior
         keyframes, rows = np.unique(np.concatenate([first, second]), return_inverse=True)
-        known = self._with_conditions(keyframes)  # (q, 2, m)
-        gain = cho_solve(self._factor, known.reshape(-1, known.shape[2]).T).T.reshape(known.shape)
-        of_first, of_second = known[rows[: len(first)]], gain[rows[len(first) :]]
+        known = self._with_conditions(keyframes) @ self._whitening.T  # (q, 2, m)
+        of_first, of_second = known[rows[: len(first)]], known[rows[len(first) :]]
         return np.asarray(prior - of_first @ of_second.transpose(0, 2, 1))
 
     def of(self, keyframes: Integers) -> Floats:
