@@ -64,10 +64,12 @@ class OdometryHistory:
         first, pose = self._stamps[0], self._pose(0)
         span = min(EVEN_SECONDS, self.latest - first)
         back = se2.inverse(EVEN_SECONDS / span * se2.between(pose, self.at(first + span)))
-        stamps, poses = array("d"), array("d")
-        for k in range(1, 1 + math.ceil((first - max(stamp, first - MAX_EXTENSION)) / EVEN_SECONDS)):
-            pose = se2.compose(pose, back)
-            stamps.insert(0, first - k * EVEN_SECONDS)
+        stamps, poses, begin = array("d"), array("d"), max(stamp, first - MAX_EXTENSION)
+        for k in range(math.ceil((first - begin) / EVEN_SECONDS)):
+            later = first - k * EVEN_SECONDS
+            part = min(later - begin, EVEN_SECONDS)
+            pose = se2.compose(pose, part / EVEN_SECONDS * back)
+            stamps.insert(0, later - part)
             poses = array("d", pose) + poses
         if stamp < stamps[0]:
             stamps.insert(0, stamp)

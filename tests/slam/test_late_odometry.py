@@ -67,6 +67,15 @@ def test_before_its_first_reading_the_robot_is_taken_to_have_moved_evenly_for_a_
     assert len(history) == count + round(MAX_EXTENSION / EVEN_SECONDS) + 1
 
 
+def test_nothing_is_added_before_the_wanted_stamp() -> None:
+    history = OdometryHistory()
+    for stamp in (10.0, 10.2):
+        history.add(Odometry(stamp, np.array([stamp, 0.0, 0.0])))
+    history.extend_back(9.87)
+    assert history.earliest == pytest.approx(9.87, abs=1e-12)
+    assert history.at(9.87)[0] == pytest.approx(9.87)
+
+
 def test_a_history_of_one_reading_is_not_extended() -> None:
     history = OdometryHistory()
     history.add(Odometry(10.0, np.zeros(3)))
