@@ -10,6 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from drivers import se2
+
+from ..geometry.segments import Floats
 from ..mapping.local_map import LocalMap
 from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import Registration, ScanFeatures, register
@@ -84,7 +87,7 @@ class MatchTarget:
 
         For `exhaustive` see `match_points`.
         """
-        points = surface_points(scan.points.all, scan.segments, POINT_SPACING)
+        points = _points_of(scan)
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
         prediction = match.prediction
         registration = register(
@@ -95,3 +98,13 @@ class MatchTarget:
         has_walls = scan.segments.total_length >= MIN_WALL_LENGTH
         familiarity = registration.overlap_ratio if has_walls else fit * known / max(1, len(points))
         return ScanMatch(match, others, registration, fit, known, familiarity)
+
+    def contradict(self, scan: ScanFeatures, pose: se2.Pose) -> bool:
+        """Return True if a considerable part of what a scan at a pose shows of known space does not fit."""
+        _, fit, known = point_cost(self.field, _points_of(scan), pose)
+        return known >= MIN_KNOWN_POINTS and fit < SEARCH_FIT
+
+
+def _points_of(scan: ScanFeatures) -> Floats:
+    """Return the points (p, 4) of a scan that are matched, with their normals."""
+    return surface_points(scan.points.all, scan.segments, POINT_SPACING)

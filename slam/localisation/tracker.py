@@ -177,11 +177,14 @@ class Tracker:
         contradicts = match.points.prediction is not usual or usual.squared_distance(match.points.pose) > KERNEL**2
         if target.recent is None or not self._model.measured or not contradicts:
             return None
-        alone = replace(target, field=target.recent()).match(scan, predictions)
+        last_metres = replace(target, field=target.recent())
+        alone = last_metres.match(scan, predictions)
         agrees = alone.points.prediction is usual and usual.squared_distance(alone.points.pose) <= KERNEL**2
         expected = Prediction(alone.points.pose, _information_of(PREDICTION_SIGMAS))
         elsewhere = expected.squared_distance(match.points.pose) > KERNEL**2
-        return alone if agrees and elsewhere and alone.known >= MIN_KNOWN_POINTS and not alone.poor else None
+        if not agrees or not elsewhere or alone.known < MIN_KNOWN_POINTS or alone.poor:
+            return None
+        return alone if last_metres.contradict(scan, match.points.pose) else None
 
     def _predict(self, stamp: float, odometry: se2.Pose) -> list[Prediction]:
         """Return the predictions of the pose: the usual one first, and that after a slip second, if one is possible.
