@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -24,7 +24,6 @@ from .estimation.estimator import Estimator
 from .estimation.map_view import final_result
 from .estimation.refinement import build_scan_history, match_trajectory
 from .estimation.slam_state import SlamState
-from .first_scans import ROOM, first_drive
 from .geometry.segments import CornerPoints, Segments
 from .io.exports.occupancy import OccupancyGrid
 from .io.exports.scan_placement import PlacedScan
@@ -45,8 +44,16 @@ from .pipeline import Slam
 from .preprocessing.extraction import is_compiled
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 
+ROOM = 4.0, 3.0
+"""Length and width of the simulated room, metres."""
 SIDES = np.array([[0.0, -1.5, 0.0], [2.0, 0.0, np.pi / 2], [0.0, 1.5, np.pi], [-2.0, 0.0, -np.pi / 2]])
 """Frames of its walls, as seen from inside."""
+BEAMS = 180
+WARMUP_SCANS = 20
+STEP = 0.1
+"""Distance between scans, metres."""
+INTERVAL = 0.1
+"""Time between scans, seconds."""
 
 
 def warm_up() -> None:
@@ -58,7 +65,7 @@ def warm_up() -> None:
         for process in processes:
             process.wait()
     slam = Slam()
-    for message in first_drive():
+    for message in _drive():
         slam.add(message)
     mapper = slam.slam_state.mapper
     relocalise(submap_of(mapper), index_map(mapper))
@@ -74,7 +81,7 @@ def compile_preprocessing() -> None:
     """Compile what makes features of scans, the closing of loops, and what only some commands call: maps as images,
     and simulations."""
     preprocessor = Preprocessor(Config())
-    for message in first_drive():
+    for message in _drive():
         preprocessor.add(message)
         while (scan := preprocessor.next_scan()) is not None:
             preprocessor.process(scan, OdometryModel(Config().odometry))
@@ -90,7 +97,7 @@ def compile_estimation() -> None:
     """Compile what estimates path and map from features, which are made up here."""
     state = SlamState(Config())
     estimator, scans = Estimator(state), []
-    for message in first_drive():
+    for message in _drive():
         if isinstance(message, Odometry):
             odometry = message.pose
         else:
@@ -118,6 +125,29 @@ def _seen_features(scan: Scan, pose: se2.Pose) -> ProcessedScan:
     )
     points = np.column_stack([scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)])
     return ProcessedScan(scan.stamp, pose, ScanFeatures(segments, corners, ScanPoints(points, points[::9])), 0.01)
+
+
+def _drive() -> Iterator[Odometry | Scan]:
+    """Yield the messages of a robot that drives through a small room with an object in it."""
+    # no beam is parallel to a wall, where a distance would be infinite
+    angles = 2 * np.pi * ((np.arange(BEAMS) + 0.5) / BEAMS - 0.5)
+    offsets = np.linspace(0.0, 0.5 * INTERVAL, BEAMS)
+    random = np.random.default_rng(0)
+    for k in range(WARMUP_SCANS):
+        pose = np.array([-1.0 + STEP * k, 0.3, 0.011 * k])
+        yield Odometry(INTERVAL * k, pose)
+        yield Scan(INTERVAL * k, _ranges(pose, angles) + random.normal(0.0, 0.01, BEAMS), angles, offsets, 0.1, 30.0)
+    yield Odometry(INTERVAL * WARMUP_SCANS, pose)
+
+
+def _ranges(pose: se2.Pose, angles: Floats) -> Floats:
+    """Return the ranges (n,) to the walls of a room around the map's origin, with some shorter returns between them."""
+    c, s = np.cos(angles + pose[2]), np.sin(angles + pose[2])
+    to_sides = (np.sign(c) * ROOM[0] / 2 - pose[0]) / c
+    to_ends = (np.sign(s) * ROOM[1] / 2 - pose[1]) / s
+    ranges = np.minimum(to_sides, to_ends)
+    ranges[::9] *= 0.7
+    return np.asarray(ranges, dtype=np.float64)
 
 
 def _check_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:

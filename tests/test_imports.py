@@ -26,7 +26,7 @@ LAYERS = (
     "errors", "extras", "formatting", "memory", "config", "geometry", "graph", "odometry", "mapping", "matching",
     "preprocessing", "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics",
     "io", "run_snapshot", "run_start", "run_session", "publisher", "scan_report", "localisation_report", "run_end",
-    "pose_extrapolation", "pipeline", "optimisation", "first_scans", "warmup", "offline", "evaluation",
+    "pose_extrapolation", "pipeline", "optimisation", "warmup", "offline", "evaluation",
     "visualisation", "mapped_recording", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""

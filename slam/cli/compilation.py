@@ -26,16 +26,13 @@ def compile_all() -> None:
 def compile_for_recording() -> None:
     """Compile everything if nothing is on disk yet.
 
-    Otherwise what all scans call is loaded from disk, so that the times of the first ones are like those of others. Any
-    other function is loaded, or compiled, when it is called first: no measurement of a recording has to wait for that.
+    Otherwise a function is loaded from disk, or compiled, when it is called first: no measurement of a recording has
+    to wait for that, and functions that it does not need are not loaded.
     """
     from ..preprocessing.extraction import is_compiled
 
     if is_compiled():
-        from ..first_scans import load_for_first_scans
-
         _announce_compilation()
-        load_for_first_scans()
     else:
         compile_all()
 
