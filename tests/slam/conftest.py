@@ -60,6 +60,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> Iterator[t
         fails: BaseException | None = None
         notices = 0
         refined = False
+        extends_map = True
 
         def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False, **_: object) -> None:
             self.sinks = sinks
