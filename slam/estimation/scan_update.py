@@ -80,7 +80,7 @@ def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingR
     tracking = state.tracker.track(scan.stamp, scan.odometry, features, target)
     timer.lap("registration")
     if tracking.contradicts_old_map:
-        state.local_field.part_from_revisited(state.mapper.travelled)
+        state.local_field.unlink_earlier_passes(state.mapper.travelled)
     untracked = tracking.status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
     state.untracked_scans = [*state.untracked_scans, scan] if untracked else []
     if tracking.status is TrackingStatus.TRACKED:

@@ -132,7 +132,7 @@ class LocalField:
         field.insert_scans(poses[recent], self.points_of(recent))
         return field
 
-    def part_from_revisited(self, travelled: Sequence[float]) -> None:
+    def unlink_earlier_passes(self, travelled: Sequence[float]) -> None:
         """Remove the links of the keyframes within MAX_PATH of the last one along the drive with earlier ones.
 
         Takes effect with the next update. The places that the robot has come back to can be linked again, or recognised

@@ -156,8 +156,8 @@ class Tracker:
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
         follows = self._tentative is not None and match.points.prediction in predictions[-FROM_TENTATIVE:]
-        result = replace(self._result(match, status, slipped=slipped, abrupt=abrupt), follows=follows)
-        result = replace(result, contradicts_old_map=alone is not None)
+        result = self._result(match, status, slipped=slipped, abrupt=abrupt)
+        result = replace(result, follows=follows, contradicts_old_map=alone is not None)
         if status is TrackingStatus.TRACKED and self._model.measured:
             predicted, of_match = predictions[0], inverse(match.points.information + CONDITIONING)
             difference = se2.between(predicted.pose, match.points.pose)

@@ -34,8 +34,6 @@ CORRELATION_LENGTH = 20.0
 # Variance of the middle of a parabola fitted to a random walk with the variance 1 at both ends, and 0 in the middle.
 # Origin: definition, 2 int_0^1 (int_x^1 w)^2 dx with the weights w(u) = (9 - 15 u^2) / 8 of the fit.
 PARABOLA_VARIANCE = 9.0 / 112.0
-# Median of the sum of two squared standard normal variables. Origin: definition, chi-square, 2 dof.
-PLANE_MEDIAN = 1.3863
 
 
 class OdometryModel:

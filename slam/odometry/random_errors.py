@@ -15,8 +15,8 @@ from .systematic_errors import MAX_STRAIGHT_TURN, NORMAL_MEDIAN, PRIOR_SAMPLES
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
 MIN_VARIANCE_RATE = 1e-8
-# Radians: drift of the heading by turning one radian, before any driving. Origin: measured, 0.02 to 0.07 on recordings
-# of ten robots.
+# Radians: drift of the heading by turning one radian, before any driving. Origin: measured, 0.02 to 0.12 on recordings
+# of nine robots.
 TURN_WALK = 0.04
 # Relative standard error of the median of squared normal variables, times the root of their number: 1 / (2 f(m) m) with
 # the median m and the density f. Origin: definition, chi-square, 1 dof.
@@ -46,9 +46,9 @@ def estimate_rates(
 def _observed_rates(corrected, registered, variances, travel, floors):  # type: ignore[no-untyped-def]
     """Return the rates (4,) from the motions alone, and the numbers (4,) of motions that they are estimated from."""
     count = len(travel)
-    along, across, straight, turning = np.empty((2, count)), np.empty((2, count)), np.empty((2, count)), 0
-    straights = 0
-    heading = np.empty(count)
+    along, across, heading = np.empty((2, count)), np.empty((2, count)), np.empty(count)
+    straight, turns = np.empty((2, count)), np.empty((2, count))
+    straight_count, turn_count = 0, 0
     for k in range(count):
         x, y = registered[k, 0] - corrected[k, 0], registered[k, 1] - corrected[k, 1]
         c, s = math.cos(corrected[k, 2]), math.sin(corrected[k, 2])
@@ -58,19 +58,21 @@ def _observed_rates(corrected, registered, variances, travel, floors):  # type: 
         heading[k] = wrap_angle(registered[k, 2] - corrected[k, 2]) ** 2 / NORMAL_MEDIAN
         if abs(corrected[k, 2]) <= MAX_STRAIGHT_TURN:
             noise = variances[k, 1] + floors[1] ** 2
-            straight[0, straights], straight[1, straights] = heading[k] / travel[k], noise / travel[k]
-            straights += 1
-    rates, counts = np.zeros(4), np.array([float(count), float(count), float(straights), float(count - straights)])
+            straight[0, straight_count], straight[1, straight_count] = heading[k] / travel[k], noise / travel[k]
+            straight_count += 1
+    rates, counts = (
+        np.zeros(4),
+        np.array([float(count), float(count), float(straight_count), float(count - straight_count)]),
+    )
     rates[0], rates[1] = _median_excess(along), _median_excess(across)
-    rates[2] = _median_excess(straight[:, :straights])
-    turns = np.empty((2, count))
+    rates[2] = _median_excess(straight[:, :straight_count])
     for k in range(count):
         turn = abs(corrected[k, 2])
         if turn > MAX_STRAIGHT_TURN:
             noise = variances[k, 1] + floors[1] ** 2 + rates[2] * travel[k]
-            turns[0, turning], turns[1, turning] = heading[k] / turn, noise / turn
-            turning += 1
-    rates[3] = _median_excess(turns[:, :turning])
+            turns[0, turn_count], turns[1, turn_count] = heading[k] / turn, noise / turn
+            turn_count += 1
+    rates[3] = _median_excess(turns[:, :turn_count])
     return rates, counts
 
 

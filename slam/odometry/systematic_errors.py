@@ -82,8 +82,8 @@ class SystematicErrors:
         """Return (3, 3) the covariance of a corrected motion [x, y, heading] by the errors left, in its end frame.
 
         An error of heading grows in proportion to the way, and moves the end by |m| / 2 times that of the heading
-        across the motion m. One of the frame's position moves the end by the difference of its turned and its unturned
-        value.
+        across the motion m. An error e of the frame's position moves the end by (R - I) e, with the rotation R by the
+        negative turn.
         """
         ahead, left, turn = motion.tolist()
         c, s = math.cos(turn), math.sin(turn)

@@ -84,7 +84,7 @@ def test_a_field_that_contradicts_the_last_metres_parts_from_earlier_passes() ->
     drive(field, poses)
     for one, other in ((10, 110), (105, 117), (10, 60)):
         field.link(one, other)
-    field.part_from_revisited(travelled)
+    field.unlink_earlier_passes(travelled)
     assert field.state.links == ((105, 117), (10, 60))
     field.update(119, poses, travelled)
     assert 10 not in field.inserted
