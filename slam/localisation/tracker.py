@@ -289,6 +289,7 @@ class Tracker:
             status,
             match.familiarity,
             match.known,
+            match.poor,
             slipped,
             abrupt,
         )
