@@ -27,6 +27,7 @@ from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Predi
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, ScanClock, VelocityFilter
 from .match_target import MIN_WALL_LENGTH, MatchTarget, ScanMatch
+from .moving_objects import match_without_moving
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import View, ViewComparison
@@ -145,6 +146,8 @@ class Tracker:
         """
         predictions = self._predict(stamp, odometry)
         match = target.match(scan, predictions, exhaustive=not self._model.measured)
+        if self._model.measured:
+            match = match_without_moving(match, predictions, scan, target) or match
         alone = self._match_to_last_metres(match, predictions, scan, target)
         match = alone or match
         status, slipped = self._judge(match, predictions, scan, target)
@@ -174,15 +177,13 @@ class Tracker:
         to be closed. If odometry were said to have slipped, the map would tear here.
         """
         usual = predictions[0]
-        contradicts = match.points.prediction is not usual or usual.squared_distance(match.points.pose) > KERNEL**2
-        if target.recent is None or not self._model.measured or not contradicts:
+        if target.recent is None or not self._model.measured or not _contradicts(match, usual):
             return None
         last_metres = replace(target, field=target.recent())
         alone = last_metres.match(scan, predictions)
-        agrees = alone.points.prediction is usual and usual.squared_distance(alone.points.pose) <= KERNEL**2
         expected = Prediction(alone.points.pose, _information_of(PREDICTION_SIGMAS))
         elsewhere = expected.squared_distance(match.points.pose) > KERNEL**2
-        if not agrees or not elsewhere or alone.known < MIN_KNOWN_POINTS or alone.poor:
+        if _contradicts(alone, usual) or not elsewhere or alone.known < MIN_KNOWN_POINTS or alone.poor:
             return None
         return alone if last_metres.contradict(scan, match.points.pose) else None
 
@@ -303,6 +304,11 @@ def _information_of(sigmas: Floats) -> Floats:
     information = np.zeros((3, 3))
     information.flat[::4] = sigmas**-2.0
     return information
+
+
+def _contradicts(match: ScanMatch, usual: Prediction) -> bool:
+    """Return True if a match contradicts odometry, whose prediction is the `usual` one."""
+    return match.points.prediction is not usual or usual.squared_distance(match.points.pose) > KERNEL**2
 
 
 def _too_few_features(scan: ScanFeatures) -> bool:

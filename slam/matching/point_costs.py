@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from drivers.compiled import compiled, inlined
 
 from ..geometry.small_matrices import quadratic_form
@@ -42,6 +44,15 @@ def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
             of_known += cost
             known += 1
     return total, 1.0 - of_known / (MISFIT * max(known, 1)), known
+
+
+@compiled
+def costs_of_points(field, points, pose):  # type: ignore[no-untyped-def]
+    """Return the cost (p,) of each of points (p, 4) with normals at a pose."""
+    c, s, costs = math.cos(pose[2]), math.sin(pose[2]), np.empty(len(points))
+    for k in range(len(points)):
+        costs[k] = _point_cost(field, points, k, pose, c, s)[0]
+    return costs
 
 
 @compiled

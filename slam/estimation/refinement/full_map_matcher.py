@@ -15,6 +15,7 @@ from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
 from ...localisation.match_target import MatchTarget
+from ...localisation.moving_objects import match_without_moving
 from ...localisation.tracker import SLIP_COST
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
@@ -117,6 +118,8 @@ class FullMapMatcher:
         even = Prediction(self._interpolate(row, poses), self._unmatched, cost)
         predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
         match = target.match(scan, predictions, exhaustive=True)
+        if not self._odometry_wrong[row]:
+            match = match_without_moving(match, predictions, scan, target) or match
         odometry_wrong = match.plausible and match.points.prediction is even
         return FullMapMatch(match.points, match.registration, match.plausible, odometry_wrong)
 

@@ -165,7 +165,7 @@ def test_an_even_motion_costs_as_much_as_a_slip(
     matcher = FullMapMatcher(history, mapper.landmarks, session.poses, 0.0, 0.0, session.odometry_model, wrong)
     seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
-    present, even = seen
+    present, even, *_ = seen  # a match without some objects may follow
     assert (present.cost, even.cost) == (0.0, 0.0 if known_wrong else SLIP_COST)
     np.testing.assert_allclose(even.pose, middle, atol=0.05)
 

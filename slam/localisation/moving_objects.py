@@ -1,0 +1,137 @@
+"""Recognise objects that move, if a scan contradicts odometry only as far as some small objects suggest.
+
+A person who walks beside the robot looks the same from scan to scan. Along a corridor nothing else determines the
+position, so a scan fits best where the robot stands beside a person who stands, though odometry has measured that it
+drives. An object that is small enough to move fits as a whole or not at all, so it is one event: it has moved, with the
+cost MOVED. Objects move in all directions, so two of them rarely look as if the robot had moved instead: each further
+one costs COINCIDENCE as well. If the scan without these objects agrees with odometry, and costs less with these costs
+than the whole scan where odometry must have failed, then odometry is right.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+from drivers.compiled import compiled
+
+from ..geometry.segments import CornerPoints, Floats, Integers, Segments
+from ..matching.line_matcher import ScanFeatures
+from ..matching.point_costs import COARSE_SIGMA, costs_of_points
+from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, POINT_SPACING, Prediction
+from ..matching.scan_points import ScanPoints, segments_of, surface_points
+from .match_target import MatchTarget, ScanMatch
+
+# Cost of an object having moved since it was mapped, a few metres before. Origin: chosen, one small object in five is
+# a person; not measured.
+MOVED = math.log(5.0)
+# Cost of another object having moved by the same distance as the first one. Origin: definition, minus the logarithm of
+# the share of a circle with a radius of 1 m, which a person walks in a second, that is within COARSE_SIGMA of a place.
+COINCIDENCE = -2.0 * math.log(COARSE_SIGMA)
+# Metres, largest size of an object that may move. Origin: definition, the width of a person with a bag.
+MAX_SIZE = 0.8
+# Metres between the points of neighbouring beams of one object. Origin: chosen, the step of a walking person.
+MAX_GAP = 0.3
+
+
+def match_without_moving(
+    match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
+) -> ScanMatch | None:
+    """Return the match of what does not move in a scan, if objects that have moved explain that `match` is elsewhere.
+
+    match        of the whole scan
+    predictions  those with which it was matched, that of odometry first
+
+    Returns None as well if the pose costs less than an object that has moved.
+    """
+    usual = predictions[0]
+    excess = match.points.prediction.cost_of(match.points.pose) - usual.least_cost
+    if excess <= MOVED:
+        return None
+    points = surface_points(scan.points.all, scan.segments, POINT_SPACING)
+    objects = _objects(points, _on_walls(points, scan.segments))
+    moving, cost = np.zeros(len(points), dtype=np.bool_), 0.0
+    for moved in _by_gain(objects, points, target, usual.pose, match.points.pose):
+        cost += MOVED + (COINCIDENCE if cost else 0.0)
+        if cost >= excess:
+            return None
+        moving |= objects == moved
+        of_all = np.asarray(_for_all(moving, points, scan.points.all))
+        static = target.match(without_points(scan, of_all), predictions)
+        agrees = static.points.prediction is usual and usual.squared_distance(static.points.pose) <= KERNEL**2
+        known = static.known >= MIN_KNOWN_POINTS and not static.poor
+        if agrees and known and static.points.cost + cost < match.points.cost:
+            return static
+    return None
+
+
+def _by_gain(objects: Integers, points: Floats, target: MatchTarget, usual: se2.Pose, pose: se2.Pose) -> list[int]:
+    """Return the objects (numbers from 0 on) that fit better at `pose` than at the `usual` one, the clearest first."""
+    at_pose, at_usual = (costs_of_points(target.field.arrays, points, at) for at in (pose, usual))
+    gains = np.bincount(objects + 1, at_usual - at_pose, minlength=int(objects.max(initial=-1)) + 2)[1:]
+    return [number for number in np.argsort(-gains).tolist() if gains[number] > 0.0]
+
+
+def _on_walls(points: Floats, segments: Segments) -> NDArray[np.bool_]:
+    """Return (q,) True for the points on segments that are too long for an object that may move."""
+    is_long = np.append(2.0 * segments.half_length > MAX_SIZE, False)
+    return np.asarray(is_long[segments_of(points, segments)])
+
+
+def without_points(scan: ScanFeatures, removed: NDArray[np.bool_]) -> ScanFeatures:
+    """Return a scan without some of its points (p,), and without the segments and corners that lie on these."""
+    points, segments, corners = scan.points, scan.segments, scan.corners
+    rows = segments_of(surface_points(points.all, segments, 0.0), segments)
+    removed_on, on = (np.bincount(rows[of] + 1, minlength=len(segments) + 1)[1:] for of in (removed, slice(None)))
+    stays = 2 * removed_on <= on
+    corner_stays = stays[corners.segments].all(axis=1)
+    return ScanFeatures(
+        Segments(
+            segments.frame[stays], segments.half_length[stays], segments.covariance[stays], segments.bias_slope[stays]
+        ),
+        CornerPoints(
+            corners.position[corner_stays],
+            corners.covariance[corner_stays],
+            (np.cumsum(stays) - 1)[corners.segments[corner_stays]],
+            corners.headings[corner_stays],
+        ),
+        ScanPoints(points.all[~removed], points.clutter[~_in(points.clutter, points.all[removed])]),
+    )
+
+
+def _in(points: Floats, others: Floats) -> NDArray[np.bool_]:
+    """Return (p,) which of the points are among others."""
+    return np.asarray(np.isin(points @ [1.0, 1j], others @ [1.0, 1j]))
+
+
+@compiled
+def _objects(points, on_walls):  # type: ignore[no-untyped-def]
+    """Return (q,) the number of the object of each point, from 0 on; -1 on walls and other large surfaces."""
+    objects, count, start = np.full(len(points), -1, np.int64), 0, 0
+    for k in range(1, len(points) + 1):
+        if k < len(points) and on_walls[k] == on_walls[start]:
+            gap = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
+            if gap <= MAX_GAP:
+                continue
+        width = points[start:k, 0].max() - points[start:k, 0].min()
+        depth = points[start:k, 1].max() - points[start:k, 1].min()
+        if not on_walls[start] and math.hypot(width, depth) <= MAX_SIZE:
+            objects[start:k] = count
+            count += 1
+        start = k
+    return objects
+
+
+@compiled
+def _for_all(flags, kept, points):  # type: ignore[no-untyped-def]
+    """Return (p,) the flags (q,) of kept points for all points (p, 2): those left out are on the surface before."""
+    all_flags, at = np.zeros(len(points), np.bool_), -1
+    for k in range(len(points)):
+        if at + 1 < len(kept) and points[k, 0] == kept[at + 1, 0] and points[k, 1] == kept[at + 1, 1]:
+            at += 1
+        all_flags[k] = flags[at]
+    return all_flags
