@@ -114,6 +114,8 @@ def _open(spec: str | Path) -> Source:
         raise RecordingError(path, None, "no such file or directory")
     if path.is_dir():
         return _directory(path)
+    if suffix in (".mcap", ".bag", ".db3") and not path.stat().st_size:
+        raise RecordingError(path, None, "is empty")
     if suffix in CARMEN_SUFFIXES:
         from .recordings.carmen import CarmenReader
 

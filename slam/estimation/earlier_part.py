@@ -6,6 +6,9 @@ well. In the right part of the map nearly each scan fits where odometry predicts
 sequential test of Wald for two such probabilities p and 1 - p counts the scans that fit minus those that do not; it
 is decided at a margin n with an error probability of about ((1 - p) / p)^n. Scans count at the distance of keyframes:
 those of a robot that stands repeat each other. A test of a robot that stands ends like the monitoring of a closure.
+
+Tracking accepts scans of which only half of the points fit, as around people. Where little of the map is in view, one
+scan after the other may fit as poorly as that elsewhere, too. So a poor fit says nothing.
 """
 
 from __future__ import annotations
@@ -75,7 +78,9 @@ class EarlierPart:
 
 
 def _evidence(tracking: TrackingResult) -> int:
-    """Return 1 if a scan fits where odometry predicts it, -1 if it does not, 0 if it shows too little to tell."""
+    """Return 1 if a scan fits well where odometry predicts it, -1 if it does not fit there, 0 if that is undecided."""
     if tracking.status is TrackingStatus.NO_FEATURES or tracking.known < MIN_KNOWN_POINTS:
         return 0
-    return 1 if tracking.status is TrackingStatus.TRACKED and not tracking.slipped else -1
+    if tracking.status is not TrackingStatus.TRACKED or tracking.slipped:
+        return -1
+    return 0 if tracking.poor else 1

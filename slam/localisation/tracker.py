@@ -209,6 +209,7 @@ class Tracker:
             status,
             match.familiarity,
             match.known,
+            match.poor,
             slipped,
             abrupt,
         )

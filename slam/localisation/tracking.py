@@ -40,6 +40,7 @@ class TrackingResult:
     predicted     pose from which both were found, with its information (3, 3)
     familiarity   0 to 1, see `ScanMatch`
     known         number of points in space that was seen before
+    poor          True if a considerable part of these points does not fit
     slipped       True if odometry's motion since the reference contradicts the pose
     abrupt        True if the scan fits by chance only: it is then FAILED, and the robot may have been kidnapped
     follows       True if the pose was found from the tentative pose of the scan before, which is right if this one is
@@ -55,6 +56,7 @@ class TrackingResult:
     status: TrackingStatus
     familiarity: float
     known: int
+    poor: bool
     slipped: bool
     abrupt: bool
     follows: bool = False

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import CornerPoints, Integers, Segments
+from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from .data_association import UNMATCHED, Association
 from .keyframes import LandmarkIds
 from .landmarks import Landmarks
@@ -25,12 +25,14 @@ def assign_landmark_ids(
     corners: CornerPoints,
     association: Association,
     local_map: LocalMap,
+    points: Floats,
 ) -> LandmarkIds:
     """Record the observations of a keyframe at `pose` and return the landmark ids of its features.
 
     Matched features observe their landmark, unmatched ones become new landmarks, ambiguous ones get the id -1.
+    `points` (p, 2) are those of the scan, in its frame.
     """
-    walls = _assign_walls(landmarks, keyframe, pose, segments, association, local_map)
+    walls = _assign_walls(landmarks, keyframe, pose, segments, association, local_map, points)
     return LandmarkIds(walls, _assign_corners(landmarks, keyframe, pose, corners, walls, association, local_map))
 
 
@@ -41,13 +43,15 @@ def _assign_walls(
     segments: Segments,
     association: Association,
     local_map: LocalMap,
+    points: Floats,
 ) -> Integers:
     frames = se2.compose(pose, segments.frame).reshape(-1, 3)
+    in_map = se2.transform(pose, points).reshape(-1, 2)
     ids = np.full(len(segments), -1)
     for i, row in enumerate(association.walls):
         if row >= 0:
             ids[i] = local_map.walls[row]
-            landmarks.observe_wall(int(ids[i]), frames[i], segments.half_length[i], keyframe)
+            landmarks.observe_wall(int(ids[i]), frames[i], segments.half_length[i], keyframe, in_map)
         elif row == UNMATCHED:
             ids[i] = landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
     return ids

@@ -19,7 +19,7 @@ from ..geometry.segments import Floats, Integers
 from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, WALL_DTYPE, LandmarkTable
 from .map_parts import MapParts
 from .near_landmarks import NO_KEYFRAME, near_corners, near_walls
-from .wall_cells import WALL_CELL, cells_between, latest_openings, pieces_of, still_covered, trimmed
+from .wall_cells import WALL_CELL, cells_between, cells_of, latest_openings, pieces_of, still_covered, trimmed
 
 
 class Landmarks:
@@ -88,10 +88,14 @@ class Landmarks:
             position=position, headings=headings, walls=walls, observations=1, last_seen=keyframe
         )
 
-    def observe_wall(self, wall: int, frame: se2.Pose, half_length: float, keyframe: int) -> None:
+    def observe_wall(
+        self, wall: int, frame: se2.Pose, half_length: float, keyframe: int, points: Floats | None = None
+    ) -> None:
         """Record that a keyframe observed a known wall as a segment with its centre at `frame` in the map.
 
-        Extends the wall to the ends of the segment.
+        Extends the wall to the ends of the segment. `points` (p, 2) are those of the scan, in the map: openings are
+        closed only where points lie. At grazing incidence, a line passes a door without a beam in between. None if
+        they are not known: the segment closes what it covers.
         """
         row = self.walls.rows[wall]
         along = float(se2.between(row["frame"], frame)[0])
@@ -100,11 +104,22 @@ class Landmarks:
         cells = cells_between(low, high)
         if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
             cells = still_covered(cells, self.opened[wall], keyframe)
+            cells = self._without_openings(wall, cells, points)
         self.covered[wall] |= cells
+        if wall in self.opened:
+            self.trim_extent(wall)
         row["first_seen"] = min(row["first_seen"], keyframe)
         if row["last_seen"] != keyframe:
             row["observations"] += 1
             row["last_seen"] = keyframe
+
+    def _without_openings(self, wall: int, cells: frozenset[int], points: Floats | None) -> frozenset[int]:
+        """Return some cells of a wall without its openings in which no points (p, 2), in the map, lie."""
+        openings = cells & self.opened_cells(wall)
+        if points is None or not openings:
+            return cells
+        in_wall = se2.transform(se2.inverse(self.walls.rows["frame"][wall]), points).reshape(-1, 2)
+        return cells - (openings - cells_of(in_wall))
 
     def observe_corner(self, corner: int, headings: Floats, keyframe: int) -> None:
         """Record that a keyframe observed a known corner."""

@@ -142,7 +142,9 @@ class Mapper(MappedKeyframes):
         """
         keyframe = self.keyframe_count
         wall_count = len(self.landmarks.walls)
-        landmark_ids = assign_landmark_ids(self.landmarks, keyframe, pose, segments, corners, association, local_map)
+        landmark_ids = assign_landmark_ids(
+            self.landmarks, keyframe, pose, segments, corners, association, local_map, points
+        )
         begins_part = keyframe > 0 and keyframe == self.landmarks.parts.firsts[-1]
         self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids, apart=begins_part)
         if point_motion is not None:

@@ -20,7 +20,7 @@ from drivers.compiled import compiled, inlined
 from ..geometry.segments import Floats, Integers
 from .landmarks import Landmarks
 from .near_landmarks import is_beyond_reach
-from .wall_cells import WALL_CELL
+from .wall_cells import ON_WALL_DISTANCE, WALL_CELL
 
 # Metres from a wall's line, on either side, that both ends of a sight line must be away for the wall to be seen
 # through: anything nearer may be the wall itself, or something on it. Origin: chosen; not measured.
@@ -31,8 +31,6 @@ MIN_DEPTH_SIGMAS = 3.0
 # Least sine of the angle between a sight line and a wall that it crosses: about 45 degrees. Glass reflects a beam only
 # at steep angles, so others would see through it. Origin: chosen; not measured.
 MIN_CROSSING_SINE = 0.7
-# Metres across a wall within which a point lies on it. Origin: chosen, half of MIN_DEPTH; not measured.
-ON_WALL_DISTANCE = 0.15
 # Cells from an end of a wall, or from a gap in it, that are never seen through: sight lines may have passed by.
 # Origin: chosen, 0.2 m; not measured.
 END_MARGIN_CELLS = 2

@@ -15,6 +15,8 @@ from .landmark_table import NEVER_REMOVED
 
 # Metres of wall per cell of coverage. Origin: chosen, finer than a door or a pillar; not measured.
 WALL_CELL = 0.1
+# Metres across a wall within which a point lies on it. Origin: chosen, half of MIN_DEPTH of sight lines; not measured.
+ON_WALL_DISTANCE = 0.15
 # Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
 # Origin: chosen, less than the width of a door; not measured.
 MIN_GAP_BETWEEN_PIECES = 0.5
@@ -44,6 +46,12 @@ def trimmed(covered: frozenset[int], low: float, high: float) -> tuple[float, fl
     if not covered:
         return low, high
     return max(low, WALL_CELL * (min(covered) - 1)), min(high, WALL_CELL * (max(covered) + 2))
+
+
+def cells_of(points: Floats) -> frozenset[int]:
+    """Return the cells on which points (p, 2), in the wall's frame, lie."""
+    on_wall = np.abs(points[:, 1]) < ON_WALL_DISTANCE
+    return frozenset(np.floor(points[on_wall, 0] / WALL_CELL).astype(np.int64).tolist())
 
 
 def still_covered(cells: Iterable[int], opened: Mapping[int, int], keyframe: int) -> frozenset[int]:

@@ -33,6 +33,13 @@ def test_directory_without_metadata_is_read_if_it_has_one_file(tmp_path: Path, r
     assert sum(isinstance(message, drivers.Scan) for message in drivers.open(tmp_path)) == 29
 
 
+@pytest.mark.parametrize("name", ["drive.mcap", "drive.bag", "drive.db3"])
+def test_an_empty_recording_is_called_empty(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).touch()
+    with pytest.raises(RecordingError, match=f"{name}: is empty"):
+        drivers.open(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("spec", "reason"),
     [

@@ -18,6 +18,7 @@ from ..console import print_message
 from ..viewer import has_display
 
 if TYPE_CHECKING:
+    from ...visualisation.rerun_log.log_files import LogFiles
     from ...visualisation.rerun_log.viewer import ViewerServer
 
 WEB_PORT = 9090
@@ -62,26 +63,28 @@ def review(
         for session in sessions:
             typer.echo("\n".join(summary_lines(session)))
         return
+    logs = _find_logs(sessions)
     if not (web or has_display()):
         raise OutputError("no display for the viewer; use --web for a browser or --summary for text")
+    from ...visualisation.rerun_log.combined_log import write_combined_log
+
     with TemporaryDirectory(prefix="wclm-review-") as scratch:
         log = Path(scratch) / "review.rrd"
-        _prepare_log(sessions, log)
+        write_combined_log(logs, [session.resolve().name for session in sessions], log)
         if web:
             _serve(log, address, port)
         else:
             _show(log, address)
 
 
-def _prepare_log(sessions: list[Path], target: Path) -> None:
-    from ...visualisation.rerun_log.combined_log import write_combined_log
+def _find_logs(sessions: list[Path]) -> list[LogFiles]:
     from ...visualisation.rerun_log.log_files import find_log
 
     found = [find_log(session) for session in sessions]
     for session, log in zip(sessions, found, strict=True):
         if not log.ended:
             print_message(f"{session}: the run is not finished or was killed; using its log in {log.directory}")
-    write_combined_log(found, [session.resolve().name for session in sessions], target)
+    return found
 
 
 def _show(log: Path, address: str) -> None:

@@ -105,7 +105,14 @@ def _associate(
         odometry_wrong[row] = match.odometry_wrong
         landmark_ids.append(
             assign_landmark_ids(
-                mapper.landmarks, k, registration.pose, features.segments, features.corners, association, local_map
+                mapper.landmarks,
+                k,
+                registration.pose,
+                features.segments,
+                features.corners,
+                association,
+                local_map,
+                features.points.all,
             )
         )
     return np.array(matched), landmark_ids, odometry_wrong

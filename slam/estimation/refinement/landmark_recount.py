@@ -27,8 +27,9 @@ def recount_observations(
     for k, (row, ids) in enumerate(zip(history.keyframes, landmark_ids, strict=True)):
         features = history.scans[row].features
         frames = se2.compose(poses[k], features.segments.frame).reshape(-1, 3)
+        points = se2.transform(poses[k], features.points.all).reshape(-1, 2)
         for i in np.flatnonzero(ids.walls >= 0):
-            landmarks.observe_wall(int(ids.walls[i]), frames[i], features.segments.half_length[i], k)
+            landmarks.observe_wall(int(ids.walls[i]), frames[i], features.segments.half_length[i], k, points)
         for i in np.flatnonzero(ids.corners >= 0):
             landmarks.observe_corner(int(ids.corners[i]), se2.wrap(features.corners.headings[i] + poses[k, 2]), k)
     drop_unobserved(landmarks)

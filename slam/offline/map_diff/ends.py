@@ -16,8 +16,8 @@ from drivers import se2
 
 from ...geometry.segments import Floats, Integers
 from ...mapping.map_features import MapWalls
-from ...mapping.sight_lines import MIN_CROSSING_SINE, MIN_DEPTH, ON_WALL_DISTANCE
-from ...mapping.wall_cells import WALL_CELL
+from ...mapping.sight_lines import MIN_CROSSING_SINE, MIN_DEPTH
+from ...mapping.wall_cells import ON_WALL_DISTANCE, WALL_CELL
 from .surveys import Survey
 
 # Scans that must show an end: two have a scatter, but none that means anything. Origin: definition.

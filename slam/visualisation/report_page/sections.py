@@ -66,7 +66,8 @@ def successes(summary: dict[str, Any], found: list[Finding]) -> str:
         texts.append(loops_text({**slam, "loops": {LoopStatus.ACCEPTED: closed}}))
     spoilt = any(finding.grave for finding in found)
     if "lost" in health and not health["lost"] and not health.get("failed") and not spoilt:
-        texts.append("every scan was placed in the map; the robot was never lost")
+        scans = "every scan that showed features" if health.get("no_features") else "every scan"
+        texts.append(f"{scans} was placed in the map; the robot was never lost")
     if health.get("overlap_ratio_median") is not None and not spoilt:
         texts.append(
             f"{percent(health['overlap_ratio_median'])} of the walls in a scan are on walls of the map (median)"

@@ -110,6 +110,7 @@ def test_files_that_are_no_log_are_refused(wclm: Any, tmp_path: Path) -> None:
 
 def test_without_a_display_the_error_names_the_alternatives(wclm: Any, session: Path) -> None:
     wclm.refuses("review", session, because=["no display", "--web", "--summary"])
+    wclm.refuses("review", "nowhere", because=["nowhere", "no such session"])
 
 
 # --- the viewer

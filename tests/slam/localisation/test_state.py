@@ -29,7 +29,17 @@ def tracked(information: Floats, status: TrackingStatus = TrackingStatus.TRACKED
     registration = Registration(np.zeros(3), information, np.zeros(3), nothing, 1.0)
     predicted = Prediction(np.zeros(3), np.eye(3))
     return TrackingResult(
-        np.zeros(3), np.eye(3), registration, np.eye(3), predicted, status, 1.0, 0, slipped=False, abrupt=False
+        np.zeros(3),
+        np.eye(3),
+        registration,
+        np.eye(3),
+        predicted,
+        status,
+        1.0,
+        0,
+        poor=False,
+        slipped=False,
+        abrupt=False,
     )
 
 

@@ -23,6 +23,16 @@ def test_the_pose_by_the_scan_alone_does_not_depend_on_the_prediction(
     share = np.linalg.solve(scan + prior, prior)
     registration = Registration(se2.compose(by_scan, share @ error), scan, by_scan, np.zeros((3, 3)), 1.0)
     result = TrackingResult(
-        by_scan, scan, registration, scan, predicted, TrackingStatus.TRACKED, 1.0, 100, slipped=False, abrupt=False
+        by_scan,
+        scan,
+        registration,
+        scan,
+        predicted,
+        TrackingStatus.TRACKED,
+        1.0,
+        100,
+        poor=False,
+        slipped=False,
+        abrupt=False,
     )
     assert np.abs(se2.between(by_scan, result.scan_pose)).max() < 0.1 * np.abs(share @ error).max() + 1e-6

@@ -138,6 +138,31 @@ def test_a_door_divides_a_wall_into_pieces() -> None:
     np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 4.5]])
 
 
+def test_a_line_past_an_opening_does_not_close_it_without_points_in_it() -> None:
+    """A scan along a wall shows it on both sides of a door as one line: no beam happens to pass through the door."""
+    frame = np.array([4.0, 1.0, 2.5])
+    door = range(-4, 5)
+    beside = np.column_stack([[-2.0, -1.2, -0.6, 0.7, 1.1, 1.9], np.zeros(6)])
+    through = np.column_stack([np.linspace(-0.35, 0.45, 9), np.full(9, 1.0)])
+    for inside, closed in (([], False), (through, False), (through - [0.0, 1.02], True)):
+        landmarks = Landmarks()
+        wall = landmarks.add_wall(frame, 2.0, keyframe=0)
+        landmarks.open_wall(wall, door, 5)
+        points = np.concatenate([beside, np.reshape(inside, (-1, 2))])
+        landmarks.observe_wall(wall, frame, 2.5, 9, se2.transform(frame, points))
+        assert bool(landmarks.opened_cells(wall)) != closed
+        assert len(landmarks.pieces(wall)) == (1 if closed else 2)
+        assert landmarks.walls.rows["high"][wall] == 2.5
+
+
+def test_an_opened_end_of_a_wall_is_not_drawn_again_by_a_line_without_points() -> None:
+    landmarks = Landmarks()
+    wall = landmarks.add_wall(np.zeros(3), 2.0, keyframe=0)
+    landmarks.open_wall(wall, range(10, 20), 5)
+    landmarks.observe_wall(wall, np.zeros(3), 2.0, 9, np.column_stack([np.linspace(-2.0, 0.9, 30), np.zeros(30)]))
+    assert landmarks.walls.rows["high"][wall] < 1.2
+
+
 def test_observing_again_keeps_ids_and_drops_unobserved_landmarks() -> None:
     landmarks = Landmarks()
     for y in (0.0, 1.0, 2.0):

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers import se2
-from slam.mapping.sight_lines import MIN_CROSSING_SINE, MIN_DEPTH, ON_WALL_DISTANCE, trace_sight_lines
-from slam.mapping.wall_cells import WALL_CELL
+from slam.mapping.sight_lines import MIN_CROSSING_SINE, MIN_DEPTH, trace_sight_lines
+from slam.mapping.wall_cells import ON_WALL_DISTANCE, WALL_CELL
 
 
 @settings(deadline=None)

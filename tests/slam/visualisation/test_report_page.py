@@ -278,8 +278,11 @@ def test_long_lists_of_doubts_are_folded_and_a_doubtful_map_is_not_praised(tmp_p
     }
     summary = {key: value for key, value in SUMMARY.items() if key != "truth"}
     good = page(tmp_path / "good", finished, summary | {"slam": slam})
-    assert "the robot was never lost" in good
+    assert "Every scan was placed in the map; the robot was never lost" in good
     assert "95 % of the walls" in good
+    gaps = slam | {"health": slam["health"] | {"no_features": 3}}
+    with_gaps = page(tmp_path / "gaps", finished, summary | {"slam": gaps})
+    assert "Every scan that showed features was placed in the map" in with_gaps
     bad = page(tmp_path / "bad", finished, summary | {"slam": slam | {"suspects": 7 * [row]}})
     assert "What went well" not in bad
     folded = re.search(r"<details><summary>3 more</summary><ul>(.*?)</ul></details>", bad, re.DOTALL)

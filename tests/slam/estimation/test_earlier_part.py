@@ -1,0 +1,82 @@
+"""The test if the robot has left a part of the map, with the tracking results of the next scans in that part."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from slam.config import Config
+from slam.estimation.closure_monitor import ClosureMonitor
+from slam.estimation.earlier_part import DECIDING_MARGIN, EarlierPart
+from slam.estimation.slam_state import SlamState
+from slam.geometry.segments import CornerPoints, Segments
+from slam.localisation.tracking import TrackingResult, TrackingStatus
+from slam.matching.line_matcher import Registration, ScanFeatures
+from slam.matching.point_matcher import MIN_KNOWN_POINTS, Prediction
+from slam.matching.scan_points import ScanPoints
+from slam.preprocessing.preprocessor import ProcessedScan
+
+FEATURES = ScanFeatures(
+    Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
+    CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=int), np.zeros((0, 2))),
+    ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))),
+)
+
+
+def holds(monkeypatch: pytest.MonkeyPatch, results: list[TrackingResult]) -> bool:
+    """Return True if the robot is found not to have left the part, after scans with these results, a metre apart."""
+    part = EarlierPart(SlamState(Config()), ClosureMonitor())
+    remaining = iter(results)
+    monkeypatch.setattr("slam.estimation.earlier_part.track", lambda *_: next(remaining))
+    for k in range(len(results)):
+        part.add(ProcessedScan(float(k), np.array([float(k), 0.0, 0.0]), FEATURES))
+    return part.holds
+
+
+def result(
+    status: TrackingStatus = TrackingStatus.TRACKED,
+    *,
+    poor: bool = False,
+    slipped: bool = False,
+    known: int = MIN_KNOWN_POINTS,
+) -> TrackingResult:
+    registration = Registration(np.zeros(3), np.eye(3), np.zeros(3), np.zeros((3, 3)), 1.0)
+    predicted = Prediction(np.zeros(3), np.eye(3))
+    return TrackingResult(
+        np.zeros(3),
+        np.eye(3),
+        registration,
+        np.eye(3),
+        predicted,
+        status,
+        1.0,
+        known,
+        poor=poor,
+        slipped=slipped,
+        abrupt=False,
+    )
+
+
+def test_scans_that_fit_well_show_that_the_robot_is_still_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not holds(monkeypatch, [result()] * (DECIDING_MARGIN - 1))
+    assert holds(monkeypatch, [result()] * DECIDING_MARGIN)
+    misfit = result(TrackingStatus.FAILED)
+    assert not holds(monkeypatch, [misfit, *[result()] * DECIDING_MARGIN])
+    assert holds(monkeypatch, [misfit, *[result()] * (DECIDING_MARGIN + 1)])
+
+
+@pytest.mark.parametrize(
+    "undecided",
+    [result(poor=True), result(known=MIN_KNOWN_POINTS - 1), result(TrackingStatus.NO_FEATURES)],
+    ids=["poor", "unknown", "no features"],
+)
+def test_scans_that_fit_half_or_show_little_say_nothing(
+    monkeypatch: pytest.MonkeyPatch, undecided: TrackingResult
+) -> None:
+    """In another building, half of the points fit the little that was mapped, scan after scan."""
+    assert not holds(monkeypatch, [undecided] * 9)
+    assert holds(monkeypatch, [*[undecided] * 9, *[result()] * DECIDING_MARGIN])
+
+
+def test_scans_against_odometry_do_not_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert not holds(monkeypatch, [result(slipped=True)] * 9)
