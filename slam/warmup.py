@@ -27,18 +27,21 @@ from .estimation.slam_state import SlamState
 from .geometry.segments import CornerPoints, Segments
 from .io.exports.occupancy import OccupancyGrid
 from .io.exports.scan_placement import PlacedScan
+from .localisation.match_target import MatchTarget
+from .localisation.moving_objects import match_without_moving
 from .localisation.view_change import View
 from .loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
 from .loop_closure.relocalisation import index_map, relocalise, submap_of
 from .loop_closure.submap_search import build_submap, search_submap
 from .mapping.convergence import converge
 from .mapping.landmarks import Landmarks
+from .mapping.local_map import empty_local_map
 from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
 from .matching.distance_field import DistanceField
 from .matching.line_matcher import ScanFeatures
-from .matching.point_matcher import Prediction, match_points
-from .matching.scan_points import ScanPoints
+from .matching.point_matcher import POINT_SPACING, Prediction, match_points
+from .matching.scan_points import ScanPoints, surface_points
 from .odometry.error_model import OdometryModel
 from .pipeline import Slam
 from .preprocessing.extraction import is_compiled
@@ -73,6 +76,7 @@ def warm_up() -> None:
     _update_free_space()
     _search_submap()
     _search_poses()
+    _match_beside_person()
     _draw_grid()
     slam.finish()
 
@@ -89,6 +93,7 @@ def compile_preprocessing() -> None:
     _update_free_space()
     _check_loop([])
     _search_poses()
+    _match_beside_person()
     _draw_grid()
     warm_up_simulation()
 
@@ -192,6 +197,22 @@ def _search_poses() -> None:
     match_points(field, points, [Prediction(np.zeros(3), np.diag([100.0, 100.0, 1e3]))], exhaustive=True)
     view = View(np.zeros(3), np.ascontiguousarray(points[:, :2]))
     view.differs_from(view, np.zeros(3))
+
+
+def _match_beside_person() -> None:
+    """Match a scan of a person who walks with the robot: it fits best where the robot has not driven."""
+    angles = np.linspace(0.5 * np.pi, 1.5 * np.pi, 20)
+    person = np.array([1.0, 0.5]) + 0.2 * np.column_stack([np.cos(angles), np.sin(angles)])
+    nothing = np.zeros((0, 2))
+    no_corners = CornerPoints(nothing, np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), nothing)
+    no_segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
+    scan = ScanFeatures(no_segments, no_corners, ScanPoints(person, nothing))
+    field = DistanceField.empty(np.zeros(2))
+    field.insert(np.zeros(3), surface_points(scan.points.all, no_segments, POINT_SPACING))
+    odometry = Prediction(np.array([0.4, 0.0, 0.0]), np.diag([1e3, 1e3, 1e3]))
+    slip = Prediction(np.zeros(3), np.diag([1e2, 1e2, 1e2]))
+    target = MatchTarget(empty_local_map(), field, 0.0)
+    match_without_moving(target.match(scan, [odometry, slip]), [odometry, slip], scan, target)
 
 
 def _two_walls() -> Floats:
