@@ -17,6 +17,7 @@ from ..mapping.local_map import LocalMap
 from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import Registration, ScanFeatures, register
 from ..matching.point_matcher import (
+    KERNEL,
     MIN_FIT,
     MIN_KNOWN_POINTS,
     POINT_SPACING,
@@ -65,6 +66,10 @@ class ScanMatch:
     def plausible(self) -> bool:
         """True unless the scan shows space that was seen before, and does not fit it."""
         return self.known < MIN_KNOWN_POINTS or self.fit >= MIN_FIT
+
+    def contradicts(self, usual: Prediction) -> bool:
+        """Return True if the scan fits better near another prediction, or far from the usual one."""
+        return self.points.prediction is not usual or usual.squared_distance(self.points.pose) > KERNEL**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,7 @@ from drivers.compiled import compiled
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..matching.line_matcher import ScanFeatures
 from ..matching.point_costs import COARSE_SIGMA, costs_of_points
-from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, POINT_SPACING, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, POINT_SPACING, Prediction
 from ..matching.scan_points import ScanPoints, segments_of, surface_points
 from .match_target import MatchTarget, ScanMatch
 
@@ -62,9 +62,8 @@ def match_without_moving(
         moving |= objects == moved
         of_all = np.asarray(_for_all(moving, points, scan.points.all))
         static = target.match(without_points(scan, of_all), predictions)
-        agrees = static.points.prediction is usual and usual.squared_distance(static.points.pose) <= KERNEL**2
         known = static.known >= MIN_KNOWN_POINTS and not static.poor
-        if agrees and known and static.points.cost + cost < match.points.cost:
+        if not static.contradicts(usual) and known and static.points.cost + cost < match.points.cost:
             return static
     return None
 

@@ -16,7 +16,7 @@ from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
 from ...localisation.match_target import MatchTarget
 from ...localisation.moving_objects import match_without_moving
-from ...localisation.tracker import SLIP_COST
+from ...localisation.pose_predictor import SLIP_COST
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.bias_correction import correct_range_bias_of_scans

@@ -25,7 +25,7 @@ from slam.events import GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
 from slam.localisation.match_target import MatchTarget, ScanMatch
-from slam.localisation.tracker import SLIP_COST
+from slam.localisation.pose_predictor import SLIP_COST
 from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper

@@ -1,0 +1,173 @@
+"""Predictions of the pose at the next scan: by odometry, after its failure, and from a tentative pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse
+from ..matching.point_matcher import PointMatch, Prediction
+from ..odometry.error_model import OdometryModel
+from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, ScanClock, VelocityFilter
+from .prediction_error import PREDICTION_SIGMAS, PredictionError
+from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
+
+# Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
+# Origin: chosen, once in twenty scans that fit badly; not measured.
+SLIP_COST = 3.0
+# Seconds for which an even motion is predicted while odometry fails. After that time the robot may have any velocity.
+# Without odometry there is no such limit: nothing else is known of the motion. Origin: definition, the time in which
+# ACCELERATIONS lead to MAX_VELOCITIES.
+STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
+# Predictions from a tentative pose. Origin: definition, by odometry and by an even motion.
+FROM_TENTATIVE = 2
+
+
+class PosePredictor:
+    """Predictions from the last fix on.
+
+    model  of odometry's errors; another one may be set at any time
+    """
+
+    def __init__(self, model: OdometryModel) -> None:
+        self.model = model
+        self._fix: PoseFix | None = None
+        self._reference: PoseFix | None = None  # from which odometry predicts
+        self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
+        self._rival: PoseFix | None = None  # where that scan fits odometry
+        self._rival_cost = 0.0  # by which it costs more there
+        self._before_slip: PoseFix | None = None  # reference before the last slip
+        self._since_slip = 0.0  # seconds
+        self._since_fix: float | None = None  # seconds; None if no slip is possible
+        self._clock, self._velocity = ScanClock(), VelocityFilter()
+        self._prediction_error = PredictionError()
+
+    @property
+    def fix(self) -> PoseFix | None:
+        """Last fix; None before the first scan."""
+        return self._fix
+
+    @property
+    def tentative(self) -> PoseFix | None:
+        """Pose of the last scan, if it was tentative."""
+        return self._tentative
+
+    def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
+        """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
+        self._fix = self._reference = PoseFix(pose, odometry)
+        self._since_fix = None  # no slip is possible before the next fix
+        self._tentative = self._rival = self._before_slip = None
+
+    def correct(self, pose: se2.Pose) -> None:
+        """Replace the pose of the last fix, and predict from it from now on."""
+        assert self._fix is not None
+        self._fix = self._reference = PoseFix(pose, self._fix.odometry)
+
+    def state(self, last_score: float) -> TrackerState | None:
+        """Return the state to be saved, with the score of the last tracked scan; None before the first scan."""
+        if self._fix is None or self._reference is None:
+            return None
+        return TrackerState(
+            self._fix, self._reference, self._since_fix, self._clock.last, self._clock.intervals,
+            self._velocity.velocity, self._velocity.variances,
+            self._prediction_error.variances, self._prediction_error.scans, last_score,
+        )  # fmt: skip
+
+    def restore(self, state: TrackerState) -> None:
+        """Continue from a saved state."""
+        self._fix, self._reference = state.fix, state.reference
+        self._since_fix, self._clock = state.since_fix, ScanClock(state.scan_stamp, state.intervals)
+        self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
+        self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
+
+    def extrapolate(self, odometry: se2.Pose) -> se2.Pose:
+        """Return the base's pose in the map, by odometry alone since the last fix."""
+        if self._fix is None:
+            return np.zeros(3)
+        return se2.compose(self._fix.pose, self.model.correct(self._fix.odometry_motion(odometry)))
+
+    def predict(self, stamp: float, odometry: se2.Pose) -> list[Prediction]:
+        """Return the predictions of the pose: the usual one first, and that after a slip second, if one is possible.
+
+        Then those of odometry that has caught up after the last slip, and of the motion from a tentative pose.
+        """
+        if self._fix is None or self._reference is None:
+            self.move_to(np.zeros(3), odometry)
+        interval = self._clock.interval(stamp)
+        self._since_fix = None if self._since_fix is None else self._since_fix + interval
+        usual, slip = self._usual_and_slip(odometry, interval)
+        if self._rival is not None:  # both hypotheses are followed from where the last scan fits them
+            usual = replace(self._by_odometry(self._rival, odometry, usual.inertia), cost=self._rival_cost)
+        predictions = [usual] if self._since_fix is None else [usual, slip]
+        self._since_slip += interval
+        if self._before_slip is not None and self._since_slip < STEADY_SECONDS:
+            predictions.append(self._by_odometry(self._before_slip, odometry, slip))
+        if self._tentative is not None:
+            even = self._even_motion(self._tentative.pose, interval)
+            predictions += [self._by_odometry(self._tentative, odometry, even), even]  # FROM_TENTATIVE
+        return predictions
+
+    def learn(self, usual: Prediction, match: PointMatch) -> None:
+        """Learn the error of predictions from the match of a tracked scan, and its usual prediction."""
+        difference, of_match = se2.between(usual.pose, match.pose), inverse(match.information + CONDITIONING)
+        self._prediction_error.add(difference, inverse(usual.information).diagonal(), of_match.diagonal())
+
+    def update(self, result: TrackingResult, odometry: se2.Pose, rival: tuple[se2.Pose, float] | None) -> None:
+        """Remember the pose of a scan as the fix or as tentative, as its result says.
+
+        rival  pose where a tentative scan fits odometry, and by how much it costs more there; None without one
+        """
+        self._tentative = self._rival = None
+        if result.status is TrackingStatus.NO_FEATURES:
+            return
+        fix = PoseFix(result.pose, odometry)
+        if result.status is TrackingStatus.TENTATIVE:
+            self._tentative = fix
+            if rival is not None:
+                self._rival, self._rival_cost = PoseFix(rival[0], odometry), rival[1]
+        if result.status is not TrackingStatus.TRACKED:
+            return
+        assert self._fix is not None
+        if self._since_fix:
+            self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
+        self._fix, self._since_fix = fix, 0.0
+        if result.slipped and self.model.measured:
+            self._before_slip, self._since_slip = self._reference, 0.0
+        if result.slipped or not self.model.measured:  # odometry continues from here
+            self._reference = fix
+
+    def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:
+        """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
+        assert self._fix is not None
+        assert self._reference is not None
+        slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, SLIP_COST)
+        if not self.model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
+            slip = replace(slip, information=information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
+            sigmas = self._velocity.deviations(self._since_fix or 0.0) + PREDICTION_SIGMAS
+            return replace(self._by_odometry(self._reference, odometry, None), search_sigmas=sigmas[1:]), slip
+        inertia = slip if self._since_fix is not None else None
+        return self._by_odometry(self._reference, odometry, inertia), slip
+
+    def _by_odometry(self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None) -> Prediction:
+        """Return the prediction if the robot has moved from the reference as odometry says."""
+        motion = reference.odometry_motion(odometry)
+        pose = se2.compose(reference.pose, self.model.correct(motion))
+        information = inverse(self.model.covariance(motion) + self._prediction_error.covariance)
+        return Prediction(pose, information, inertia=inertia)
+
+    def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:
+        """Return the prediction some seconds after `pose` if the robot moves on as it did, whatever odometry says."""
+        sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
+        steady = min(seconds, STEADY_SECONDS) if self.model.measured else seconds
+        return Prediction(se2.compose(pose, self._velocity.motion(steady)), information_of(sigmas), cost)
+
+
+def information_of(sigmas: Floats) -> Floats:
+    """Return the information (3, 3) of a pose whose components have the standard deviations `sigmas` (3,)."""
+    information = np.zeros((3, 3))
+    information.flat[::4] = sigmas**-2.0
+    return information
