@@ -21,7 +21,7 @@ def result(status: TrackingStatus, pose: se2.Pose) -> TrackingResult:
     covariance = np.linalg.inv(INFORMATION)
     return TrackingResult(
         pose, covariance, registration, covariance, Prediction(pose, INFORMATION), status, 1.0, 100,
-        slipped=False, abrupt=False,
+        poor=False, slipped=False, abrupt=False,
     )  # fmt: skip
 
 
