@@ -171,7 +171,8 @@ def _viewpoints(grid: GridMap) -> Floats:
     """Return the place with most free space around it in each square of VIEWPOINT_SPACING, if that is enough."""
     clearance: Floats = grid.resolution * np.asarray(distance_transform_edt(grid.free), dtype=np.float64)
     rows, columns = np.nonzero(clearance >= VIEWPOINT_CLEARANCE)
-    side = max(1, round(VIEWPOINT_SPACING / grid.resolution))
+    # A square larger than the map is the whole map, however many cells that would be.
+    side = max(1, round(min(VIEWPOINT_SPACING / grid.resolution, float(max(grid.free.shape)))))
     square = (rows // side) * (grid.free.shape[1] // side + 1) + columns // side
     order = np.lexsort((-clearance[rows, columns], square))
     first = order[np.flatnonzero(np.diff(square[order], prepend=-1))]

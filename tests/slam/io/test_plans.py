@@ -179,6 +179,14 @@ def test_walls_of_a_grid_map_are_found_within_a_cell(tmp_path: Path, turn: float
     assert_walls(plan_map, expected, offset=0.05, heading=0.02)
 
 
+def test_cells_of_a_grid_map_may_be_tiny(tmp_path: Path) -> None:
+    """The map is then too small for a robot, but it is a map."""
+    path = grid_map(tmp_path / "map.pgm")
+    (line,) = [line for line in path.read_text().splitlines() if line.startswith("resolution")]
+    path.write_text(path.read_text().replace(line, "resolution: 1e-200"))
+    assert len(read_plan(path).segments)
+
+
 def test_pictures_of_a_grid_map_may_be_png(tmp_path: Path) -> None:
     path = grid_map(tmp_path / "map.pgm")
     with Image.open(tmp_path / "map.pgm") as picture:
