@@ -48,8 +48,8 @@ MAP_INTERVAL_SHARE = 0.01
 # Factor by which the number of keyframes grows between two inspections of the graph: all inspections together cost
 # three times the last one.
 INSPECTION_GROWTH = 1.5
-# Metres and radians by which odometry must deviate from the scans since the last keyframe for a warning; less is usual
-# for worn wheels. Origin: chosen; not measured.
+# Metres and radians by which odometry must deviate from the scans since the last tracked one for a warning; less is
+# usual for worn wheels. Origin: chosen; not measured.
 SLIP_WARNING = 0.1, math.radians(10.0)
 
 
@@ -61,7 +61,7 @@ class Publisher:
         self._published_keyframes = np.zeros((0, 3))
         self._published_removed: frozenset[int] | None = None  # wall ids; None before the first map of a session
         self._inspected_keyframes = 0  # at the last inspection of the graph
-        self._last_keyframe: tuple[se2.Pose, se2.Pose] | None = None  # its pose and that of odometry
+        self._last_tracked: tuple[se2.Pose, se2.Pose] | None = None  # pose of a scan and of odometry
 
     def publish(self, event: Event) -> None:
         """Send an event to the sinks that receive its type."""
@@ -79,7 +79,9 @@ class Publisher:
         """Publish the pose of a scan, and a notice if it was not tracked normally."""
         if tracking.slipped:
             self._publish_slip(scan, tracking)
-        elif tracking.status is TrackingStatus.FAILED:
+        if tracking.status is TrackingStatus.TRACKED:
+            self._last_tracked = tracking.pose, scan.odometry
+        if tracking.status is TrackingStatus.FAILED:
             self.publish(Notice(scan.stamp, "the scan fits nowhere near its predicted pose and is left out"))
         if not self._is_received(ScanTracked):
             return
@@ -100,19 +102,19 @@ class Publisher:
     def _publish_slip(self, scan: ProcessedScan, tracking: TrackingResult) -> None:
         """Publish that odometry contradicts the scan, as a warning if it is far off.
 
-        Before the first keyframe of a continued session nothing is published: the wheels count from where they were
+        Before the first tracked scan of a continued session nothing is published: the wheels count from where they were
         switched on, so nothing is known of the motion since the session was stored.
         """
-        if self._last_keyframe is None:
+        if self._last_tracked is None:
             return
-        pose, odometry = self._last_keyframe
+        pose, odometry = self._last_tracked
         deviation = se2.between(se2.between(pose, tracking.pose), se2.between(odometry, scan.odometry))
         metres, radians = float(np.hypot(*deviation[:2])), abs(float(deviation[2]))
         if metres > SLIP_WARNING[0] or radians > SLIP_WARNING[1]:
             self.publish(Notice(scan.stamp, "odometry is far off from the scan: it slipped or jumped"))
             return
         off = f"{100 * metres:.0f} cm and {math.degrees(radians):.1f}°"
-        self.publish(Notice(scan.stamp, f"odometry deviates by {off} from the scans since the last keyframe", "TRACE"))
+        self.publish(Notice(scan.stamp, f"odometry deviates by {off} from the scans since the last one", "TRACE"))
 
     def publish_suspects(self, suspects: Sequence[Suspect], keyframe_stamps: Sequence[float]) -> None:
         """Publish the findings of the checks of a finished run."""
@@ -129,7 +131,6 @@ class Publisher:
     ) -> None:
         """Publish the last keyframe, its changes of the map, and at intervals the whole map."""
         index, stamp = mapper.keyframe_count - 1, scan.stamp
-        self._last_keyframe = mapper.pose, scan.odometry
         if self._is_received(KeyframeAdded):
             self.publish(_keyframe_event(scan, mapper, update, sigma_range, dict(timer.laps)))
         if update.merge is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Scan
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
-from slam import Slam
+from slam import Finished, Slam
 
 LENGTH = 2.0
 """Seconds in which the scans of a burst are measured."""
@@ -30,22 +30,23 @@ def in_bursts(messages: Iterator[Message]) -> Iterator[Message]:
         yield replace(message, stamp=stamp)
 
 
-def keyframes_of(messages: Iterator[Message]) -> np.ndarray:
+def finished(messages: Iterator[Message]) -> Finished:
     slam = Slam()
     for message in messages:
         slam.add(message)
-    finished = slam.finish()
-    assert finished.summary["health"]["failed"] == 0
-    return np.asarray(finished.keyframes)
+    end = slam.finish()
+    assert end.summary["health"]["failed"] == 0
+    return end
 
 
 def test_stamps_in_bursts_do_not_change_the_map() -> None:
     """Odometry moves by centimetres from scan to scan of a burst, in no time: that is no slip."""
     lidar, wheels = LIDAR_MODELS["short"], WHEEL_MODELS["good"]
     drive = list(Simulation("equal_doors", seed=1, duration=40.0, lidar=lidar, wheels=wheels))
-    even, bursts = keyframes_of(iter(drive)), keyframes_of(in_bursts(iter(drive)))
+    one, other = finished(iter(drive)), finished(in_bursts(iter(drive)))
+    even, bursts = one.keyframes, other.keyframes
     assert len(bursts) > 0.8 * len(even)
-    distances = np.hypot(*(even[:, None, :2] - bursts[None, :, :2]).transpose(2, 0, 1)).min(axis=0)
+    distances = np.hypot(*(one.poses[:, None, :2] - bursts[None, :, :2]).transpose(2, 0, 1)).min(axis=0)
     assert distances.max() < 0.3  # each is on the path of the other
     length = [np.hypot(*np.diff(path[:, :2], axis=0).T).sum() for path in (even, bursts)]
     assert abs(length[1] / length[0] - 1.0) < 0.01
