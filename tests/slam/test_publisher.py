@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from slam.events import Event, Notice
+from slam.localisation.tracking import TrackingStatus
 from slam.publisher import Publisher
 
 
@@ -22,21 +23,21 @@ class Notices:
         self.levels.append(event.level)
 
 
-def keyframe_at(pose: np.ndarray) -> Any:
-    """Return a mapper whose last keyframe is at a pose."""
-    return SimpleNamespace(pose=pose, keyframe_count=2)
+def tracking_at(x: float, *, slipped: bool) -> Any:
+    """Return the result of a scan that was tracked at (x, 0, 0)."""
+    return SimpleNamespace(slipped=slipped, status=TrackingStatus.TRACKED, pose=np.array([x, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize(("slip", "expected"), [(0.05, ["TRACE"]), (0.5, ["WARN"]), (None, [])])
-def test_a_slip_is_a_warning_if_it_is_large_and_nothing_before_the_first_keyframe(
+def test_a_slip_is_a_warning_if_it_is_large_and_nothing_before_the_first_tracked_scan(
     slip: float | None, expected: list[str]
 ) -> None:
     notices = Notices()
     publisher = Publisher([notices])
+    mapper: Any = SimpleNamespace(keyframe_count=2)
+    model: Any = None
     scan: Any = SimpleNamespace(stamp=1.0, odometry=np.array([7.0, 0.0, 0.0]))
     if slip is not None:
-        update: Any = SimpleNamespace(merge=None, loop=None, superseded=None)
-        publisher.publish_keyframe(scan, keyframe_at(np.zeros(3)), update, 0.01, timer=None)  # type: ignore[arg-type]
-    tracking: Any = SimpleNamespace(slipped=True, pose=np.array([slip or 0.5, 0.0, 0.0]))
-    publisher.publish_tracking(scan, tracking, keyframe_at(np.zeros(3)), None)  # type: ignore[arg-type]
+        publisher.publish_tracking(scan, tracking_at(0.0, slipped=False), mapper, model)
+    publisher.publish_tracking(scan, tracking_at(slip or 0.5, slipped=True), mapper, model)
     assert notices.levels == expected
