@@ -15,6 +15,12 @@ from __future__ import annotations
 
 from collections import deque
 from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..messages import Floats
 
 WINDOW = 30.0
 """Seconds of device time that are fitted. Long enough to contain undelayed pairs and for a precise rate; not longer,
@@ -98,6 +104,10 @@ class DeviceClock:
         """Restart the fit after a jump of the clock; the rate is kept."""
         self.jumps += 1
         self._restart()
+
+    def host_times(self, device_times: NDArray[Any]) -> Floats:
+        """Return the host's times (n,) of device times (n,), units of `tick` without wraps, by the line fitted now."""
+        return np.asarray(self._anchor[1] + self._rate * (device_times * self.tick - self._anchor[0]))
 
     def _host(self, device: float) -> float:
         return self._anchor[1] + self._rate * (device - self._anchor[0])

@@ -78,8 +78,8 @@ class LidarDevice(Device):
         if received.data:
             self._stamper.add_chunk(received)
             measurements = self._stream.decoder.feed(received.data)
-            stamps = self._monotonic.stamps(self._stamper.stamps(measurements))
-            messages += self._assembler.add(measurements, stamps)
+            for stamped, stamps in self._stamper.add(measurements):
+                messages += self._assembler.add(stamped, self._monotonic.stamps(stamps))
         return messages
 
     def counters(self) -> dict[str, int]:

@@ -29,6 +29,10 @@ MEAN_DELAY_READS = 50
 """Reads over which the mean delay is averaged: a second or so, in which the load of a host hardly changes."""
 MIN_MEAN_DELAY = 2e-3
 """Seconds; the delay of a read on an idle host, by USB frames of 1 ms and the scheduler."""
+SETTLING_SECONDS = 0.5
+"""Seconds of a stream, by the device's time, after which its first packets are stamped. The host is busy while devices
+start, so all of them may arrive late, and an undelayed one shows by how much.
+"""
 MIN_SPACING = 1e-6
 """Seconds between two stamps of a device at least; the measurements of the fastest lidar are 30 times as far apart."""
 
@@ -112,6 +116,8 @@ class PacketStamper:
         self._last_end: int | None = None
         self._number = 0  # number of the last packet
         self._damaged = 0
+        self._settled = False
+        self._held: list[tuple[Measurements, Floats | Integers, Floats]] = []
 
     def counters(self) -> dict[str, int]:
         """Return the numbers of damaged or missing packets and the events of the clocks."""
@@ -127,16 +133,31 @@ class PacketStamper:
         self._fed += len(received.data)
         self._chunks.append((self._fed, received.time))
 
-    def stamps(self, measurements: Measurements) -> Floats:
-        """Return the stamps (n,) of the samples, in seconds on the host's steady clock."""
+    def add(self, measurements: Measurements) -> list[tuple[Measurements, Floats]]:
+        """Return measurements with the stamps (n,) of their samples, in seconds on the host's steady clock.
+
+        In the first SETTLING_SECONDS of the stream these are none, and then all since it began.
+        """
         packets = measurements.packets
         if not len(packets):
-            return np.empty(0)
+            return []
         arrivals = self._arrivals(packets["end"])
         has_device_time = not np.isnan(packets["device_time"]).any()
         times = packets["device_time"] if has_device_time else self._packet_numbers(packets["end"])
+        self._held.append((measurements, times, self._undelayed(times, arrivals, has_device_time=has_device_time)))
         clock = self._device_clock if has_device_time else self._count_clock.clock
-        undelayed = np.empty(len(packets))
+        self._settled |= bool((times[-1] - self._held[0][1][0]) * clock.tick >= SETTLING_SECONDS)
+        if not self._settled:
+            return []
+        restamped = len(self._held) > 1 and not clock.jumps
+        ready = [(held, clock.host_times(of) if restamped else by_then) for held, of, by_then in self._held]
+        self._held.clear()
+        return [(held, held.stamps(undelayed)) for held, undelayed in ready]
+
+    def _undelayed(self, times: Floats | Integers, arrivals: Floats, *, has_device_time: bool) -> Floats:
+        """Return when the packets (m,) would have arrived without delay, as far as the clock is known."""
+        clock = self._device_clock if has_device_time else self._count_clock.clock
+        undelayed = np.empty(len(times))
         # Of packets that arrived together the last one was delayed least; the others are computed from it.
         group_ends = np.flatnonzero(np.append(arrivals[1:] != arrivals[:-1], True))
         first = 0
@@ -150,7 +171,7 @@ class PacketStamper:
             group = slice(first, last + 1)
             undelayed[group] = stamp - (times[last] - times[group]) * clock.tick * (1.0 + clock.drift)
             first = last + 1
-        return measurements.stamps(undelayed)
+        return undelayed
 
     def _arrivals(self, ends: Integers) -> Floats:
         """Return the arrival times of the chunks that contain the packets' last bytes."""

@@ -9,14 +9,15 @@ from threading import Condition
 
 from ..messages import Message, end_stamp
 from .early_delivery import EarlyDelivery
+from .packet_stamper import SETTLING_SECONDS
 
 CAPACITY = 4096
 """Messages that wait for a busy consumer: more than half a minute of a lidar and a wheel base."""
 MAX_BATCH = 16
 """Messages per `pop`; popped messages can no longer be dropped."""
-MAX_HOLD = 1.5
+MAX_HOLD = 1.5 + SETTLING_SECONDS
 """Seconds that a message waits for earlier messages of another device that is read but sends none; the slowest lidar
-turns once in a second.
+turns once in a second, and its first scans wait until its clock has settled.
 """
 
 

@@ -21,6 +21,7 @@ import drivers
 from drivers import DriverError, Message, Odometry, Scan
 from drivers.devices.acquisition import Acquisition
 from drivers.devices.device_spec import parse_devices
+from drivers.devices.packet_stamper import SETTLING_SECONDS
 from drivers.devices.snapshot import Snapshot
 from drivers.devices.supervisor import DeviceState
 from drivers.realtime import realtime_priority
@@ -256,7 +257,7 @@ def test_faults_are_counted_and_devices_recover(peer: Any, fault: str, silent: b
             return noticed > 0 and device.state is DeviceState.RUNNING
 
         receive_until(acquisition, seen)
-        messages = receive_for(acquisition, 0.8)
+        messages = receive_for(acquisition, 0.8 + SETTLING_SECONDS)
     assert {type(message) for message in messages} == {Scan, Odometry}
     revolutions = [revolution_of(message) for message in messages if isinstance(message, Scan)]
     assert np.all(np.diff(revolutions) >= 1)

@@ -18,6 +18,7 @@ from drivers import Message, Odometry, Scan
 from drivers.bases import Create2Device, KobukiDevice, WheelReading, create2, kobuki
 from drivers.devices.device import READ_PAUSE
 from drivers.devices.lidar import LidarDevice, LidarStream
+from drivers.devices.packet_stamper import SETTLING_SECONDS
 from drivers.devices.reorder_buffer import MAX_HOLD, ReorderBuffer
 from drivers.devices.wheel_base import WheelBaseDevice
 from drivers.lidars import ld06
@@ -169,7 +170,7 @@ def simulate_run(robot: str, seed: int, chance: float, longest: float, freezes: 
     metres_per_count = (create2 if robot == "clockless" else kobuki).WHEELS.left
     random = np.random.default_rng(seed)
     begins = random.uniform(START + 1.0, START + SECONDS, freezes)
-    frozen = np.stack([begins, begins + random.uniform(0.2, MAX_HOLD - 0.2, freezes)], axis=1)
+    frozen = np.stack([begins, begins + random.uniform(0.2, MAX_HOLD - SETTLING_SECONDS - 0.2, freezes)], axis=1)
     result = Run(PluggedLidar(stream), base, ReorderBuffer(2, 0.0))
     hosts = [Host(child, chance, longest, frozen) for child in random.spawn(2)]
     threads = [reads(number, device, hosts[number], patch) for number, device in enumerate((scanned, rolled))]
