@@ -93,7 +93,7 @@ class Publisher:
                 scan.odometry,
                 overlap_ratio,
                 keyframe,
-                points=scan.features.points.all,
+                points=scan.features.points.xy,
                 covariance=tracking.covariance,
                 odometry_model=copy(odometry_model),  # its arrays are replaced, not changed
             )
@@ -171,7 +171,7 @@ class Publisher:
                     pose=mapper.keyframe_poses[index],
                     pose_covariance=mapper.covariances.of_keyframe(index),
                     odometry=scan.odometry,
-                    points=scan.features.points.all,
+                    points=scan.features.points.xy,
                     segments=scan.features.segments,
                     corners=scan.features.corners,
                     wall_match=landmark_ids.walls,
@@ -243,7 +243,7 @@ def _keyframe_event(
         pose=mapper.pose,
         pose_covariance=mapper.covariances.of_last(),
         odometry=scan.odometry,
-        points=scan.features.points.all,
+        points=scan.features.points.xy,
         segments=view.segments,
         corners=view.corners,
         wall_match=view.association.walls,

@@ -129,7 +129,7 @@ def _seen_features(scan: Scan, pose: se2.Pose) -> ProcessedScan:
         se2.transform(se2.inverse(pose), positions), np.tile(1e-4 * np.eye(2), (4, 1, 1)), pairs, frames[pairs, 2]
     )
     points = np.column_stack([scan.ranges * np.cos(scan.angles), scan.ranges * np.sin(scan.angles)])
-    return ProcessedScan(scan.stamp, pose, ScanFeatures(segments, corners, ScanPoints(points, points[::9])), 0.01)
+    return ProcessedScan(scan.stamp, pose, ScanFeatures(segments, corners, ScanPoints(points)), 0.01)
 
 
 def _drive() -> Iterator[Odometry | Scan]:
@@ -206,9 +206,9 @@ def _match_beside_person() -> None:
     nothing = np.zeros((0, 2))
     no_corners = CornerPoints(nothing, np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), nothing)
     no_segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
-    scan = ScanFeatures(no_segments, no_corners, ScanPoints(person, nothing))
+    scan = ScanFeatures(no_segments, no_corners, ScanPoints(person))
     field = DistanceField.empty(np.zeros(2))
-    field.insert(np.zeros(3), surface_points(scan.points.all, no_segments, POINT_SPACING))
+    field.insert(np.zeros(3), surface_points(scan.points.xy, no_segments, POINT_SPACING))
     odometry = Prediction(np.array([0.4, 0.0, 0.0]), np.diag([1e3, 1e3, 1e3]))
     slip = Prediction(np.zeros(3), np.diag([1e2, 1e2, 1e2]))
     target = MatchTarget(empty_local_map(), field, 0.0)

@@ -152,7 +152,7 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     state.anchor = Anchor(keyframe, relative, tracking.registered_covariance, scan.odometry)
     state.kidnapped = state.kidnapped and not state.frozen
     if not state.frozen:
-        state.mapper.remove_walls_seen_through(state.pose, scan.features.points.all)
+        state.mapper.remove_walls_seen_through(state.pose, scan.features.points.xy)
     state.local_map = state.mapper.local_map_at(state.pose, LOCAL_MAP_MARGIN + scan.features.segments.reach())
     state.tracker.correct(state.pose)
     state.update_local_field()
@@ -209,7 +209,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
         association,
         state.local_map,
         point_motion,
-        features.points.all,
+        features.points.xy,
     )
     state.keyframe_stamps.append(scan.stamp)
     timer.lap("graph")

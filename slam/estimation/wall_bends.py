@@ -209,8 +209,8 @@ def _points_of_keyframes(
     `scans` are those of the keyframes.
     """
     rows = mapper.landmarks.walls.rows
-    points = [scan.features.points.all for scan in scans]
-    segment = [segments_of(scan.features.points.all, scan.features.segments) for scan in scans]
+    points = [scan.features.points.xy for scan in scans]
+    segment = [segments_of(scan.features.points.xy, scan.features.segments) for scan in scans]
     first = np.cumsum([0, *(len(scan.features.segments) for scan in scans)])[:-1]
     keyframe = np.repeat(keyframes, [len(one) for one in points])
     number = np.concatenate([np.where(one >= 0, one + start, -1) for one, start in zip(segment, first, strict=True)])

@@ -114,7 +114,7 @@ class LocalField:
         if undetermined > 0.0:
             self._gaps[len(self._points)] = MAX_PATH * min(1.0, undetermined)
             self._outdated = True
-        self._points.append(surface_points(scan.points.all, scan.segments, POINT_SPACING).astype(np.float32))
+        self._points.append(surface_points(scan.points.xy, scan.segments, POINT_SPACING).astype(np.float32))
 
     def ways(self, travelled: Sequence[float]) -> Floats:
         """Return the metres (k,) driven up to each keyframe, with what is undetermined of the way; see `add`."""

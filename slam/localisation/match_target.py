@@ -112,4 +112,4 @@ class MatchTarget:
 
 def _points_of(scan: ScanFeatures) -> Floats:
     """Return the points (p, 4) of a scan that are matched, with their normals."""
-    return surface_points(scan.points.all, scan.segments, POINT_SPACING)
+    return surface_points(scan.points.xy, scan.segments, POINT_SPACING)

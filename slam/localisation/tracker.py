@@ -127,7 +127,7 @@ class Tracker:
         tracked = status is TrackingStatus.TRACKED
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
-        differs = self._views.add(View(odometry, scan.points.all), self._predictor.model, suspicious=suspicious)
+        differs = self._views.add(View(odometry, scan.points.xy), self._predictor.model, suspicious=suspicious)
         abrupt = tracked and (differs or (slipped and match.poor and self.view_changed))
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
@@ -145,7 +145,7 @@ class Tracker:
                 self._predictor.learn(usual, match.points)
         elif result.status is not TrackingStatus.NO_FEATURES:
             self._untracked_in_a_row += 1
-        self._predictor.update(result, odometry, _rival(match, usual))
+        self._predictor.update(result, odometry, _rival(match, usual) if self._measured else None)
 
     @property
     def _measured(self) -> bool:
@@ -216,7 +216,7 @@ class Tracker:
 
 
 def _too_few_features(scan: ScanFeatures) -> bool:
-    return scan.segments.total_length < MIN_WALL_LENGTH and len(scan.points.all) < MIN_POINTS
+    return scan.segments.total_length < MIN_WALL_LENGTH and len(scan.points.xy) < MIN_POINTS
 
 
 def _same_place(match: ScanMatch, other: PointMatch) -> bool:

@@ -22,7 +22,7 @@ POINT_UNIT = 1e-3
 MAX_POINT_UNITS = 2e6
 
 # Metres between a point and the line of a segment on which it lies.
-# Origin: chosen, as for the points that count as clutter; not measured.
+# Origin: chosen; not measured.
 LINE_DISTANCE = 0.1
 # Half lengths from the middle of a segment up to which its line continues.
 # Origin: chosen, as long again on either side; not measured.
@@ -38,27 +38,21 @@ MAX_FLATNESS = 0.02
 
 
 class ScanPoints:
-    """Points of one scan in the base's frame: all of them, and the clutter, those on no extracted line.
+    """Points of one scan in the base's frame.
 
     They are multiples of POINT_UNIT, and stored as such: all scans of a drive are kept, and points are most of a scan.
     """
 
-    __slots__ = ("_all", "_clutter")
+    __slots__ = ("_units",)
 
-    def __init__(self, all_points: Floats, clutter: Floats) -> None:
-        """Round points (p, 2) and (q, 2), metres. Coordinates beyond MAX_POINT_UNITS are clipped."""
-        # contiguous, as strided ones would be compiled for separately
-        self._all, self._clutter = (_in_units(np.ascontiguousarray(points)) for points in (all_points, clutter))
-
-    @property
-    def all(self) -> Floats:
-        """All points (p, 2), metres."""
-        return np.asarray(POINT_UNIT * self._all, dtype=np.float64)
+    def __init__(self, xy: Floats) -> None:
+        """Round points (p, 2), metres. Coordinates beyond MAX_POINT_UNITS are clipped."""
+        self._units = _in_units(np.ascontiguousarray(xy))  # strided ones would be compiled for separately
 
     @property
-    def clutter(self) -> Floats:
-        """Points (q, 2) on no extracted line, metres."""
-        return np.asarray(POINT_UNIT * self._clutter, dtype=np.float64)
+    def xy(self) -> Floats:
+        """Points (p, 2), metres."""
+        return np.asarray(POINT_UNIT * self._units, dtype=np.float64)
 
 
 @compiled

@@ -14,13 +14,12 @@ from ..config import FeatureConfig, LidarConfig
 from ..geometry.line_segments import corner_points, segments_from_lines
 from ..geometry.segments import CornerPoints, Segments
 from ..matching.line_matcher import ScanFeatures
-from ..matching.scan_points import ScanPoints
+from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, subsample
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
 from .deskew import DeskewedScan, deskew, lidar_mount
 from .extraction import build_extractor
 from .motion_uncertainty import add_motion_uncertainty
-from .scan_returns import scan_returns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +36,7 @@ class ExtractedScan:
         segments = segments_from_lines(lines, mount)
         corners = corner_points(self.features.corners, segments, mount)
         segments, corners = add_motion_uncertainty(segments, corners, lines, self.deskewed, model)
-        return ScanFeatures(segments, corners, scan_returns(self.deskewed, lines, mount))
+        return ScanFeatures(segments, corners, _points(self.deskewed, mount))
 
     def moved_to(self, reference: DeskewedScan, model: OdometryModel) -> ExtractedScan:
         """Return the scan as if it belonged to the stamp of another one; odometry says how the base has moved.
@@ -73,6 +72,14 @@ class LidarFeatures:
         return ExtractedScan(deskewed, self._extractor.extract(deskewed.ranges, deskewed.bearings), mount)
 
 
+def _points(scan: DeskewedScan, mount: se2.Pose) -> ScanPoints:
+    """Return the valid returns of a scan in the base's frame; of many, every k-th, see MAX_SCAN_POINTS."""
+    valid = np.isfinite(scan.ranges)
+    ranges, bearings = scan.ranges[valid], scan.bearings[valid]
+    points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
+    return ScanPoints(subsample(se2.transform(mount, points), MAX_SCAN_POINTS))
+
+
 def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:
     """Return the features of two lidars at the same stamp as those of one scan, the first lidar's first."""
     segments = Segments(
@@ -87,8 +94,5 @@ def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:
         np.concatenate([first.corners.segments, second.corners.segments + len(first.segments)]),
         np.concatenate([first.corners.headings, second.corners.headings]),
     )
-    points = ScanPoints(
-        np.concatenate([first.points.all, second.points.all]),
-        np.concatenate([first.points.clutter, second.points.clutter]),
-    )
-    return ScanFeatures(segments, corners, points)
+    points = np.concatenate([first.points.xy, second.points.xy])
+    return ScanFeatures(segments, corners, ScanPoints(points))

@@ -23,7 +23,7 @@ from .scan_queue import ScanPair, ScanQueue
 NO_FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
     CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2))),
-    ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))),
+    ScanPoints(np.zeros((0, 2))),
 )
 
 

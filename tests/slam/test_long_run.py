@@ -54,7 +54,7 @@ def test_features_of_a_robot_that_stands_are_not_kept(live: tuple[Slam, Finished
     scans = live[0].snapshot().session.scans
     begin = messages[0].stamp + 9.0
     standing = [scan for scan in scans if begin < scan.stamp < begin + STANDING - 2.0]
-    kept = sum(len(scan.features.points.all) > 0 for scan in standing)
+    kept = sum(len(scan.features.points.xy) > 0 for scan in standing)
     assert len(standing) > 2 * STANDING_SCANS
     assert kept <= STANDING_SCANS + UNDECIDED_SCANS
 
@@ -64,7 +64,7 @@ def test_the_result_does_not_depend_on_whether_they_are_kept(
 ) -> None:
     """`wclm run` keeps them, `wclm live` does not."""
     slam, finished = run(messages, keep_all_features=True)
-    assert all(len(scan.features.points.all) for scan in slam.session.scans)
+    assert all(len(scan.features.points.xy) for scan in slam.session.scans)
     np.testing.assert_array_equal(finished.poses, live[1].poses)
 
 
@@ -89,13 +89,13 @@ def test_features_of_old_scans_are_not_kept_while_the_robot_is_only_localised(
     (tmp_path / CONFIG).write_text(config_to_toml(Config()))
     write_session(tmp_path, live[0].session)
     session = read_session(tmp_path)
-    mapped = sum(len(scan.features.points.all) > 0 for scan in session.scans)
+    mapped = sum(len(scan.features.points.xy) > 0 for scan in session.scans)
     slam = Slam(resumed=session, frozen=True, start=np.zeros(3))
     for message in messages[: len(messages) // 2]:
         slam.add(replace(message, stamp=message.stamp + 1000.0))
     scans = slam.snapshot().session.scans
     assert len(scans) > len(session.scans) + 100
-    assert sum(len(scan.features.points.all) > 0 for scan in scans) <= mapped + 10
+    assert sum(len(scan.features.points.xy) > 0 for scan in scans) <= mapped + 10
     assert len(slam.finish().poses)
 
 

@@ -183,7 +183,7 @@ class FullMapMatcher:
         """Return the points (p, 4) of a keyframe with their normals: it is in several fields."""
         if keyframe not in self._points:
             scan = self._history.scans[self._history.keyframes[keyframe]].features
-            self._points[keyframe] = surface_points(scan.points.all, scan.segments, POINT_SPACING)
+            self._points[keyframe] = surface_points(scan.points.xy, scan.segments, POINT_SPACING)
         return self._points[keyframe]
 
 

@@ -112,7 +112,7 @@ def _associate(
                 features.corners,
                 association,
                 local_map,
-                features.points.all,
+                features.points.xy,
             )
         )
     return np.array(matched), landmark_ids, odometry_wrong

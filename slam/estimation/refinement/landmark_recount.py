@@ -27,7 +27,7 @@ def recount_observations(
     for k, (row, ids) in enumerate(zip(history.keyframes, landmark_ids, strict=True)):
         features = history.scans[row].features
         frames = se2.compose(poses[k], features.segments.frame).reshape(-1, 3)
-        points = se2.transform(poses[k], features.points.all).reshape(-1, 2)
+        points = se2.transform(poses[k], features.points.xy).reshape(-1, 2)
         for i in np.flatnonzero(ids.walls >= 0):
             landmarks.observe_wall(int(ids.walls[i]), frames[i], features.segments.half_length[i], k, points)
         for i in np.flatnonzero(ids.corners >= 0):

@@ -61,7 +61,7 @@ def place_keyframes(session: StoredSession, trajectory: Trajectory, lidars: Floa
         path.add(Odometry(stamp, pose))
     for row in session.scan_history().keyframes.tolist():
         scan = session.scans[row]
-        yield from KeyframePoints.within(scan.stamp, scan.features.points.all, lidars).placed(path.at(scan.stamp))
+        yield from KeyframePoints.within(scan.stamp, scan.features.points.xy, lidars).placed(path.at(scan.stamp))
 
 
 def _distances(points: Floats, lidars: Floats) -> Floats:

@@ -72,7 +72,7 @@ class LiveGrid:
         poses = session.slam_state.mapper.keyframe_poses
         for keyframe, row in enumerate(session.scan_history().keyframes.tolist()):
             scan = session.scans[row]
-            self.add(scan.stamp, scan.features.points.all, lidars, poses[keyframe])
+            self.add(scan.stamp, scan.features.points.xy, lidars, poses[keyframe])
 
     def move(self, poses: Floats) -> None:
         """Set the poses (k, 3) of the first k keyframes."""

@@ -53,8 +53,8 @@ def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
 
 def _scan(stamp: float, view: PlanView) -> ProcessedScan:
     """Return a view as a scan; odometry has its pose in the plan."""
-    points = ScanPoints(view.points, np.zeros((0, 2)))
-    return ProcessedScan(stamp, view.pose, ScanFeatures(view.segments, NO_FEATURES.corners, points))
+    features = ScanFeatures(view.segments, NO_FEATURES.corners, ScanPoints(view.points))
+    return ProcessedScan(stamp, view.pose, features)
 
 
 def _checkpoint(view: PlanView, keyframe: int, links: list[tuple[int, int]]) -> TrackingCheckpoint:

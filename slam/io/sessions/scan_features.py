@@ -25,8 +25,7 @@ SEGMENT_COLUMNS = (
     *("offset_bias_slope", "heading_bias_slope"),
 )
 CORNER_COLUMNS = ("x", "y", "xx", "xy", "yy")
-ALL_POINTS, CLUTTER = "point", "clutter"
-"""Prefixes of the columns of all points of a scan, and of those on no line."""
+POINT_COLUMNS = ("point_x", "point_y")
 
 
 def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, Ragged]:
@@ -45,8 +44,7 @@ def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, 
         columns[f"corner_{name}"] = Ragged(column.astype(dtype), corner_counts)
     for k, name in enumerate(("before", "after")):
         columns[f"corner_{name}"] = to_ragged([scan.corners.segments[:, k] for scan in scans], np.int32)
-    columns |= _point_columns(ALL_POINTS, [scan.points.all for scan in scans], exact=exact)
-    return columns | _point_columns(CLUTTER, [scan.points.clutter for scan in scans], exact=exact)
+    return columns | _point_columns([scan.points.xy for scan in scans], exact=exact)
 
 
 def _joined(arrays: Sequence[Floats], shape: tuple[int, ...]) -> Floats:
@@ -59,11 +57,11 @@ def _upper_triangles(covariances: Sequence[Floats]) -> Floats:
     return _joined(covariances, (2, 2))[:, [0, 0, 1], [0, 1, 1]].T
 
 
-def _point_columns(prefix: str, points: Sequence[Floats], *, exact: bool) -> dict[str, Ragged]:
+def _point_columns(points: Sequence[Floats], *, exact: bool) -> dict[str, Ragged]:
     lengths, columns = np.array([len(values) for values in points], dtype=np.int64), {}
-    for k, name in enumerate(("x", "y")):
+    for k, name in enumerate(POINT_COLUMNS):
         column = Ragged(np.concatenate([np.zeros(0), *(values[:, k] for values in points)]), lengths)
-        columns[f"{prefix}_{name}"] = column if exact else _to_point_units(column)
+        columns[name] = column if exact else _to_point_units(column)
     return columns
 
 
@@ -80,7 +78,7 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
     segments = split_rows(*table.ragged_floats(*(f"segment_{name}" for name in SEGMENT_COLUMNS)))
     corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS)))
     pairs = split_rows(*table.ragged_integers("corner_before", "corner_after"))
-    all_points, clutter = (_read_points(table, prefix, exact=exact) for prefix in (ALL_POINTS, CLUTTER))
+    points = _read_points(table, exact=exact)
     contiguous = np.ascontiguousarray  # as in a run: compiled functions need not be compiled for another layout
     scans = []
     for name, rows, first in (("segment", segments, 4), ("corner", corners, 2)):
@@ -105,17 +103,16 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
                     pairs[row],
                     frame[pairs[row], 2].reshape(-1, 2),
                 ),
-                ScanPoints(all_points[row], clutter[row]),
+                ScanPoints(points[row]),
             )
         )
     return scans
 
 
-def _read_points(table: TableReader, prefix: str, *, exact: bool) -> list[Floats]:
-    names = f"{prefix}_x", f"{prefix}_y"
+def _read_points(table: TableReader, *, exact: bool) -> list[Floats]:
     if exact:
-        return split_rows(*table.ragged_floats(*names))
-    counts, lengths = table.ragged_integers(*names)
+        return split_rows(*table.ragged_floats(*POINT_COLUMNS))
+    counts, lengths = table.ragged_integers(*POINT_COLUMNS)
     return split_rows(POINT_UNIT * counts.astype(np.float64), lengths)
 
 

@@ -140,7 +140,7 @@ def _read_slam_state(
     free_space_evidence = read_free_space_evidence(folder / WALLS)
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):  # damaged numbers raise ArithmeticError
-            views = [(keyframes[k].features.segments, keyframes[k].features.points.all) for k in range(len(rows))]
+            views = [(keyframes[k].features.segments, keyframes[k].features.points.xy) for k in range(len(rows))]
             mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, views, unconfirmed)
             return SlamState.restored(
                 config,

@@ -54,7 +54,7 @@ def survey_settled(session: StoredSession, wall_map: WallMap) -> Survey:
     for row in np.flatnonzero(history.has_features).tolist():
         if not chosen or np.hypot(*(poses[row, :2] - poses[chosen[-1], :2])) >= MIN_STEP:
             chosen.append(row)
-    points = [np.ascontiguousarray(history.scans[row].features.points.all) for row in chosen]
+    points = [np.ascontiguousarray(history.scans[row].features.points.xy) for row in chosen]
     return Survey(session, wall_map, poses[chosen], points)
 
 

@@ -151,7 +151,7 @@ class _CellGrid:
 def _keyframe_points(history: ScanHistory) -> list[Floats]:
     """Return the points (p, 4) of each keyframe with their normals, in its frame."""
     features = [history.scans[row].features for row in history.keyframes]
-    return [surface_points(some.points.all, some.segments, POINT_SPACING) for some in features]
+    return [surface_points(some.points.xy, some.segments, POINT_SPACING) for some in features]
 
 
 def _scan_submap(

@@ -35,7 +35,7 @@ def simulated_drive(world: str, seed: int = 0) -> Drive:
         poses=simulation.trajectory.poses_at(stamps),
         odometry=np.array([scan.odometry for scan in scans]),
         segment=np.zeros(len(scans), dtype=np.int64),
-        points=[scan.features.points.all for scan in scans],
+        points=[scan.features.points.xy for scan in scans],
         deviations=np.array([0.04, 0.04, 0.03, 0.03]),
         floors=np.array([config.odometry.translation_floor, config.odometry.rotation_floor]),
     )

@@ -11,15 +11,17 @@ from slam.estimation.earlier_part import DECIDING_MARGIN, EarlierPart
 from slam.estimation.slam_state import SlamState
 from slam.geometry.segments import CornerPoints, Segments
 from slam.localisation.tracking import TrackingResult, TrackingStatus
-from slam.matching.line_matcher import Registration, ScanFeatures
-from slam.matching.point_matcher import MIN_KNOWN_POINTS, Prediction
+from slam.matching.line_matcher import ScanFeatures
+from slam.matching.point_matcher import MIN_KNOWN_POINTS
 from slam.matching.scan_points import ScanPoints
 from slam.preprocessing.preprocessor import ProcessedScan
+
+from ..tracking_results import tracking_result
 
 FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
     CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=int), np.zeros((0, 2))),
-    ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))),
+    ScanPoints(np.zeros((0, 2))),
 )
 
 
@@ -33,41 +35,21 @@ def holds(monkeypatch: pytest.MonkeyPatch, results: list[TrackingResult]) -> boo
     return part.holds
 
 
-def result(
-    status: TrackingStatus = TrackingStatus.TRACKED,
-    *,
-    poor: bool = False,
-    slipped: bool = False,
-    known: int = MIN_KNOWN_POINTS,
-) -> TrackingResult:
-    registration = Registration(np.zeros(3), np.eye(3), np.zeros(3), np.zeros((3, 3)), 1.0)
-    predicted = Prediction(np.zeros(3), np.eye(3))
-    return TrackingResult(
-        np.zeros(3),
-        np.eye(3),
-        registration,
-        np.eye(3),
-        predicted,
-        status,
-        1.0,
-        known,
-        poor=poor,
-        slipped=slipped,
-        abrupt=False,
-    )
-
-
 def test_scans_that_fit_well_show_that_the_robot_is_still_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not holds(monkeypatch, [result()] * (DECIDING_MARGIN - 1))
-    assert holds(monkeypatch, [result()] * DECIDING_MARGIN)
-    misfit = result(TrackingStatus.FAILED)
-    assert not holds(monkeypatch, [misfit, *[result()] * DECIDING_MARGIN])
-    assert holds(monkeypatch, [misfit, *[result()] * (DECIDING_MARGIN + 1)])
+    assert not holds(monkeypatch, [tracking_result()] * (DECIDING_MARGIN - 1))
+    assert holds(monkeypatch, [tracking_result()] * DECIDING_MARGIN)
+    misfit = tracking_result(TrackingStatus.FAILED)
+    assert not holds(monkeypatch, [misfit, *[tracking_result()] * DECIDING_MARGIN])
+    assert holds(monkeypatch, [misfit, *[tracking_result()] * (DECIDING_MARGIN + 1)])
 
 
 @pytest.mark.parametrize(
     "undecided",
-    [result(poor=True), result(known=MIN_KNOWN_POINTS - 1), result(TrackingStatus.NO_FEATURES)],
+    [
+        tracking_result(poor=True),
+        tracking_result(known=MIN_KNOWN_POINTS - 1),
+        tracking_result(TrackingStatus.NO_FEATURES),
+    ],
     ids=["poor", "unknown", "no features"],
 )
 def test_scans_that_fit_half_or_show_little_say_nothing(
@@ -75,8 +57,8 @@ def test_scans_that_fit_half_or_show_little_say_nothing(
 ) -> None:
     """In another building, half of the points fit the little that was mapped, scan after scan."""
     assert not holds(monkeypatch, [undecided] * 9)
-    assert holds(monkeypatch, [*[undecided] * 9, *[result()] * DECIDING_MARGIN])
+    assert holds(monkeypatch, [*[undecided] * 9, *[tracking_result()] * DECIDING_MARGIN])
 
 
 def test_scans_against_odometry_do_not_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not holds(monkeypatch, [result(slipped=True)] * 9)
+    assert not holds(monkeypatch, [tracking_result(slipped=True)] * 9)

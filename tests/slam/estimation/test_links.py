@@ -26,7 +26,7 @@ def room(pose: se2.Pose) -> ScanFeatures:
     corners = np.array([[0, 0], [6, 0], [6, 4], [4, 4], [4, 5], [3, 5], [3, 4], [0, 4], [0, 0]], dtype=np.float64)
     sides = [np.linspace(a, b, int(np.hypot(*(b - a)) / 0.05), endpoint=False) for a, b in pairwise(corners)]
     points = se2.transform(se2.inverse(pose), np.concatenate(sides))
-    return ScanFeatures(NOTHING, NO_CORNERS, ScanPoints(points, np.zeros((0, 2))))
+    return ScanFeatures(NOTHING, NO_CORNERS, ScanPoints(points))
 
 
 def linked(error: Floats) -> bool:

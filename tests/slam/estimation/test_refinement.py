@@ -260,7 +260,7 @@ def drive_through_clutter() -> tuple[Mapper, ScanHistory, np.ndarray]:
     scans = []
     for k, (pose, odometry_pose) in enumerate(zip(true, odometry, strict=True)):
         points = with_noise(visible(posts, pose), random)
-        features = ScanFeatures(Segments(*NOTHING), NO_CORNERS, ScanPoints(points, points))
+        features = ScanFeatures(Segments(*NOTHING), NO_CORNERS, ScanPoints(points))
         scans.append(ProcessedScan(0.5 * k, odometry_pose, features))
     every, zeros = np.arange(2 * count), np.zeros((2 * count, 3))
     history = ScanHistory(scans, every, every, zeros, np.zeros((2 * count, 3, 3)), frozenset())

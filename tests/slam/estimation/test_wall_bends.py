@@ -38,7 +38,7 @@ def drive_past(walls: int, sigma: float, random: np.random.Generator) -> tuple[M
             across = bends[seen] + random.normal(0.0, NOISE, int(seen.sum()))
             points = np.column_stack([places[seen] - middle, across])
             segments = Segments(np.zeros((1, 3)), np.array([HALF_VIEW]), np.zeros((1, 2, 2)))
-            features = ScanFeatures(segments, NO_CORNERS, ScanPoints(points, points[:0]))
+            features = ScanFeatures(segments, NO_CORNERS, ScanPoints(points))
             scans.append(ProcessedScan(float(len(scans)), np.zeros(3), features))
             poses.append(np.array([middle, 10.0 * wall, 0.0]) + random.normal(0.0, POSE_SIGMAS))
             mapper.landmark_ids.append(LandmarkIds(np.array([wall]), np.zeros(0, dtype=np.int64)))

@@ -23,7 +23,7 @@ STEP = 0.5  # metres between keyframes
 POINTS = np.array([[0.5, 1.0], [0.7, 1.0]])
 NOTHING = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
-SCAN = ScanFeatures(NOTHING, NO_CORNERS, ScanPoints(POINTS, np.zeros((0, 2))))
+SCAN = ScanFeatures(NOTHING, NO_CORNERS, ScanPoints(POINTS))
 
 
 def straight_drive(count: int) -> Floats:

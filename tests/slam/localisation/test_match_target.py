@@ -30,7 +30,7 @@ def scan_of(points: Floats, pose: Floats) -> ScanFeatures:
     seen = with_noise(visible(points, pose), np.random.default_rng(1))
     segments = Segments(se2.between(pose, WALLS), 0.9 * HALVES, np.tile(4e-6 * np.eye(2), (4, 1, 1)))
     corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
-    return ScanFeatures(segments, corners, ScanPoints(seen, np.zeros((0, 2))))
+    return ScanFeatures(segments, corners, ScanPoints(seen))
 
 
 def room_target() -> MatchTarget:

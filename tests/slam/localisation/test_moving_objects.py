@@ -54,7 +54,7 @@ def matched(before: Floats, now: Floats, pose: Floats) -> tuple[ScanMatch, ScanM
     field = noisy_field(in_range(before, STANDING), STANDING)
     seen = with_noise(visible(in_range(now, pose), pose), np.random.default_rng(3))
     corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
-    scan = ScanFeatures(SIDES, corners, ScanPoints(seen, np.zeros((0, 2))))
+    scan = ScanFeatures(SIDES, corners, ScanPoints(seen))
     odometry = Prediction(DRIVEN, np.diag(np.array([0.03, 0.02, 0.01]) ** -2.0))
     slip = Prediction(STANDING, np.diag(np.array([0.3, 0.1, 0.05]) ** -2.0), cost=3.0)
     target = MatchTarget(empty_local_map(), field, 0.0)
@@ -96,14 +96,12 @@ def test_segments_and_corners_of_removed_points_are_removed() -> None:
         np.array([[0, 1], [1, 1]]),
         np.zeros((2, 2)),
     )
-    scan = ScanFeatures(SIDES, corners, ScanPoints(sides, sides[::7]))
+    scan = ScanFeatures(SIDES, corners, ScanPoints(sides))
     rest = without_points(scan, sides[:, 1] < 0.0)
     assert np.array_equal(rest.segments.frame, SIDES.frame[1:])
     assert np.array_equal(rest.corners.position, [[5.0, 1.0]])
     assert np.array_equal(rest.corners.segments, [[0, 0]])
-    assert np.array_equal(rest.points.all, scan.points.all[80:])
-    assert (rest.points.clutter[:, 1] > 0.0).all()
-    assert len(rest.points.clutter) == np.count_nonzero(scan.points.clutter[:, 1] > 0.0)
+    assert np.array_equal(rest.points.xy, scan.points.xy[80:])
 
 
 @pytest.mark.parametrize("seed", [1, 3])

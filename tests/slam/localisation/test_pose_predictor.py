@@ -7,22 +7,13 @@ import numpy as np
 from drivers import se2
 from slam.config import OdometryConfig
 from slam.localisation.pose_predictor import PosePredictor
-from slam.localisation.tracking import TrackingResult, TrackingStatus
-from slam.matching.line_matcher import Registration
-from slam.matching.point_matcher import Prediction
+from slam.localisation.tracking import TrackingStatus
 from slam.odometry.error_model import OdometryModel
+
+from ..tracking_results import tracking_result
 
 STEP = np.array([0.1, 0.0, 0.0])  # of odometry between two scans
 INFORMATION = 1e6 * np.eye(3)
-
-
-def result(status: TrackingStatus, pose: se2.Pose) -> TrackingResult:
-    registration = Registration(pose, INFORMATION, pose, INFORMATION, 1.0)
-    covariance = np.linalg.inv(INFORMATION)
-    return TrackingResult(
-        pose, covariance, registration, covariance, Prediction(pose, INFORMATION), status, 1.0, 100,
-        poor=False, slipped=False, abrupt=False,
-    )  # fmt: skip
 
 
 def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() -> None:
@@ -32,11 +23,13 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
     odometry = np.zeros(3)
     for k in range(2):
         predictor.predict(0.1 * k, odometry)
-        predictor.update(result(TrackingStatus.TRACKED, odometry), odometry, None)
+        predictor.update(tracking_result(pose=odometry, information=INFORMATION), odometry, None)
         odometry = odometry + STEP
     before = predictor.predict(0.2, odometry)[0]
     np.testing.assert_allclose(before.pose, odometry, atol=1e-9)
-    predictor.update(result(TrackingStatus.TENTATIVE, tentative), odometry, (rival, 4.0))
+    predictor.update(
+        tracking_result(TrackingStatus.TENTATIVE, pose=tentative, information=INFORMATION), odometry, (rival, 4.0)
+    )
     usual, *_, from_tentative, _even = predictor.predict(0.3, odometry + STEP)
     np.testing.assert_allclose(usual.pose, se2.compose(rival, STEP), atol=1e-9)
     assert usual.cost == 4.0
@@ -48,9 +41,9 @@ def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     predictor = PosePredictor(OdometryModel(OdometryConfig()))
     predictor.move_to(np.zeros(3), np.zeros(3))
     predictor.predict(0.0, np.zeros(3))
-    predictor.update(result(TrackingStatus.TRACKED, np.zeros(3)), np.zeros(3), None)
+    predictor.update(tracking_result(information=INFORMATION), np.zeros(3), None)
     predictor.predict(0.1, STEP)
-    predictor.update(result(TrackingStatus.TENTATIVE, np.array([0.9, 0.3, 0.1])), STEP, None)
+    predictor.update(tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1])), STEP, None)
     usual = predictor.predict(0.2, 2 * STEP)[0]
     np.testing.assert_allclose(usual.pose, 2 * STEP, atol=1e-9)
     assert usual.cost == 0.0

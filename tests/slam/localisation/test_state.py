@@ -17,30 +17,15 @@ from slam.localisation.state import (
     LocalisationStatus,
 )
 from slam.localisation.tracking import TrackingResult, TrackingStatus
-from slam.matching.line_matcher import Registration
-from slam.matching.point_matcher import Prediction
+
+from ..tracking_results import tracking_result
 
 CERTAIN = np.diag([1e6, 1e6, 1e6])
 OPEN_ALONG_X = np.diag([1e-2, 1e6, 1e6])
 
 
 def tracked(information: Floats, status: TrackingStatus = TrackingStatus.TRACKED) -> TrackingResult:
-    nothing = np.zeros((3, 3))
-    registration = Registration(np.zeros(3), information, np.zeros(3), nothing, 1.0)
-    predicted = Prediction(np.zeros(3), np.eye(3))
-    return TrackingResult(
-        np.zeros(3),
-        np.eye(3),
-        registration,
-        np.eye(3),
-        predicted,
-        status,
-        1.0,
-        0,
-        poor=False,
-        slipped=False,
-        abrupt=False,
-    )
+    return tracking_result(status, information=information, known=0)
 
 
 def test_every_status_can_be_reached_and_left() -> None:

@@ -242,4 +242,4 @@ def seen_from(pose: Floats, room: Floats = ROOM) -> ScanFeatures:
     points = with_noise(visible(room, pose), np.random.default_rng(1))
     segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
     corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
-    return ScanFeatures(segments, corners, ScanPoints(points, points))
+    return ScanFeatures(segments, corners, ScanPoints(points))

@@ -5,9 +5,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers import se2
-from slam.localisation.tracking import TrackingResult, TrackingStatus
 from slam.matching.line_matcher import Registration
 from slam.matching.point_matcher import Prediction
+
+from ..tracking_results import tracking_result
 
 small = st.floats(-0.02, 0.02)
 
@@ -22,17 +23,5 @@ def test_the_pose_by_the_scan_alone_does_not_depend_on_the_prediction(
     # What registration returns: the mean of both poses, weighted by their information.
     share = np.linalg.solve(scan + prior, prior)
     registration = Registration(se2.compose(by_scan, share @ error), scan, by_scan, np.zeros((3, 3)), 1.0)
-    result = TrackingResult(
-        by_scan,
-        scan,
-        registration,
-        scan,
-        predicted,
-        TrackingStatus.TRACKED,
-        1.0,
-        100,
-        poor=False,
-        slipped=False,
-        abrupt=False,
-    )
+    result = tracking_result(pose=by_scan, information=scan, registration=registration, predicted=predicted)
     assert np.abs(se2.between(by_scan, result.scan_pose)).max() < 0.1 * np.abs(share @ error).max() + 1e-6

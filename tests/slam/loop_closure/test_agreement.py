@@ -77,7 +77,7 @@ def drive_twice(
         for x in np.arange(1.0, until if lap else 15.0, STEP):
             inside = np.array([x, 1.5, 0.0])
             points = with_noise(visible(ROOM, inside), random)
-            local_field.add(ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(points, points)))
+            local_field.add(ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(points)))
             state.keyframe_poses = np.vstack([state.keyframe_poses, se2.compose(moved, inside)])
             state.travelled.append(x + lap * (LENGTH + 14.0))
             local_field.update(state.keyframe_count - 1, state.keyframe_poses, state.travelled)
@@ -162,7 +162,7 @@ def test_part_in_a_similar_room_is_not_joined() -> None:
 def test_looks_that_contradict_the_others_do_not_count() -> None:
     """One match slid along a wall by 1.5 m, which odometry between the looks does not admit."""
     state, local_field = StubMap(np.diag([0.05, 0.05, 0.01]) ** 2), LocalField()
-    nothing = ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(np.zeros((0, 2)), np.zeros((0, 2))))
+    nothing = ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(np.zeros((0, 2))))
     for x in np.arange(0.0, 60.0, STEP):
         state.keyframe_poses = np.vstack([state.keyframe_poses, [x, 0.0, 0.0]])
         state.travelled.append(float(x))

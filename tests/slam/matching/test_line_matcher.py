@@ -20,7 +20,7 @@ ROOM = np.array([[1.0, -2.0, 0.0], [4.0, 0.0, np.pi / 2], [1.0, 2.0, np.pi], [-2
 ROOM_HALVES = np.array([3.0, 2.0, 3.0, 1.4, 0.4])
 CORRIDOR = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, np.pi]])
 CORRIDOR_HALVES = np.array([8.0, 8.0])
-NO_POINTS = ScanPoints(np.zeros((0, 2)), np.zeros((0, 2)))
+NO_POINTS = ScanPoints(np.zeros((0, 2)))
 EMPTY_FIELD = DistanceField.empty(np.zeros(2), 2.0)
 SIGMAS = np.array([0.002, 0.002])  # metres, radians
 LOOSE_PRIOR = np.diag(1 / np.array([0.3, 0.3, np.radians(15.0)]) ** 2)
@@ -70,7 +70,7 @@ def match_and_register(
     prediction: np.ndarray, scan: ScanFeatures, local_map: LocalMap, field: DistanceField
 ) -> Registration:
     """Register a scan, starting where its points fit best near the prediction."""
-    points = surface_points(scan.points.all, scan.segments, POINT_SPACING)
+    points = surface_points(scan.points.xy, scan.segments, POINT_SPACING)
     start = match_points(field, points, [Prediction(prediction, LOOSE_PRIOR)])[0].pose
     return register(start, prediction, LOOSE_PRIOR, scan, points, local_map, field, 0.0)
 
@@ -83,7 +83,7 @@ def test_pose_in_room_is_found_from_distant_prediction(seed: int) -> None:
     start = se2.compose(truth, [0.3 * np.cos(side), 0.3 * np.sin(side), turn])
     points = wall_points(ROOM, ROOM_HALVES)
     noisy = se2.transform(se2.inverse(truth), points) + random.normal(0.0, 0.005, points.shape)
-    scan = replace(simulate_scan(truth, ROOM, ROOM_HALVES, seed), points=ScanPoints(noisy, np.zeros((0, 2))))
+    scan = replace(simulate_scan(truth, ROOM, ROOM_HALVES, seed), points=ScanPoints(noisy))
     found = match_and_register(start, scan, build_local_map(ROOM, ROOM_HALVES), field_of(points))
     error = se2.between(truth, found.pose)
     assert np.hypot(*error[:2]) < 0.006
@@ -141,7 +141,7 @@ def test_clutter_points_determine_position_along_corridor() -> None:
     walls = wall_points(CORRIDOR, CORRIDOR_HALVES)
     on_walls, seen = (se2.transform(se2.inverse(truth), points) for points in (walls, clutter))
     scan = simulate_scan(truth, CORRIDOR, CORRIDOR_HALVES)
-    scan = replace(scan, points=ScanPoints(np.concatenate([on_walls, seen]), seen))
+    scan = replace(scan, points=ScanPoints(np.concatenate([on_walls, seen])))
     local_map = build_local_map(CORRIDOR, CORRIDOR_HALVES)
     found = match_and_register(start, scan, local_map, field_of(np.concatenate([walls, clutter])))
     assert found.pose[0] == pytest.approx(truth[0], abs=0.02)

@@ -15,7 +15,7 @@ from slam.preprocessing.scan_sequence import ScanSequence
 def features() -> ScanFeatures:
     segments = Segments(np.zeros((1, 3)), np.ones(1), np.eye(2)[None])
     corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
-    return ScanFeatures(segments, corners, ScanPoints(np.ones((3, 2)), np.zeros((0, 2))))
+    return ScanFeatures(segments, corners, ScanPoints(np.ones((3, 2))))
 
 
 def some_scans(count: int) -> list[ProcessedScan]:
