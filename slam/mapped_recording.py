@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Odometry
 
@@ -22,8 +21,8 @@ from .events import Finished, Sink
 from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
-from .io.recording_timing import RecordingTiming
-from .io.recordings import has_odometry
+from .io.recording_timing import timed
+from .io.recordings import has_odometry, open_source
 from .io.run_results import RunResults
 from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
@@ -150,18 +149,18 @@ def run(
     """Map a recording, a bag or a simulation, as `wclm run` does, without writing files.
 
     recording  path, or a specification like `sim:office?seed=3`: see `drivers.open`
-    config     settings; a delay of the lidar that the recording shows is compensated if none is set, and a recording
-               without odometry is mapped without it
+    config     settings, also of the topics of the lidars; a delay of the lidar that the recording shows is compensated
+               if none is set, and a recording without odometry is mapped without it
     refine     refine the whole map offline: more accurate, and slower
     sinks      receive the events of the pipeline
 
     Raises SlamError, with one line that names the place, if the recording cannot be read or mapped.
     """
     config = config or Config()
-    source = drivers.open(str(recording), config.lidar.beam_order)
+    source = open_source(recording, config)
     if not has_odometry(source):
         config = config.model_copy(update={"odometry": config.odometry.model_copy(update={"source": "none"})})
-    slam = Slam(RecordingTiming.of(source, config.lidar).compensated(config), sinks, refine=refine)
+    slam = Slam(timed(source, config)[0], sinks, refine=refine)
     odometry: list[se2.Pose] = []
     truth: list[GroundTruth] = []
     first = np.inf

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..extras import require_extra
+from ..io.output_dir import refuse_results
 from ..io.plans.units import Unit
 
 if TYPE_CHECKING:
@@ -39,7 +40,8 @@ def parse_pose(text: str | None, option: str) -> se2.Pose | None:
 RecordingArgument = Annotated[
     str,
     typer.Argument(
-        help="Recording: CARMEN log, MCAP file, ROS 1 bag, ROS 2 bag directory, or simulation (sim:office?seed=3)."
+        callback=refuse_results,
+        help="Recording: CARMEN log, MCAP file, ROS 1 bag, ROS 2 bag directory, or simulation (sim:office?seed=3).",
     ),
 ]
 SessionArgument = Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")]

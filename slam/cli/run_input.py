@@ -15,7 +15,7 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, Sourc
 from ..config import Config
 from ..events import Sink
 from ..geometry.growing_array import GrowingArray
-from ..io.recording_timing import RecordingTiming
+from ..io.recording_timing import RecordingTiming, timed
 from .console import progress
 
 if TYPE_CHECKING:
@@ -84,16 +84,8 @@ class RecordingInput:
 
     def resolve(self, config: Config) -> Config:
         """Return the settings with each lidar's delay that the recording shows, if none is set."""
-        self._timing = RecordingTiming.of(self._source, config.lidar)
-        config = self._timing.compensated(config)
-        second = RecordingTiming.of_second(self._source, config.second_lidar)
-        if second is None:
-            return config
-        if config.second_lidar.delay is None:
-            second = second.beside(self._timing)
-        self._second_timing = second
-        lidar = config.second_lidar.model_copy(update={"delay": second.used_delay})
-        return config.model_copy(update={"second_lidar": lidar})
+        config, self._timing, self._second_timing = timed(self._source, config)
+        return config
 
     def facts(self) -> dict[str, Any]:
         """Return the timing of the lidar, and how the recording was read, as far as it is known."""

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from ..errors import OutputError
+from ..errors import MapError, OutputError
 from .atomic_swap import exchange_directories, sync_directory, sync_file
 from .disk_reserve import MIN_RESERVE, directory_size, free_space
 from .work_directory import RunAnnouncement, WorkDirectory
@@ -40,11 +40,21 @@ PLAN_RESULTS = frozenset({PLAN_DIFFERENCES, PLAN_PICTURE})
 GRAPH_RESULTS = frozenset({GRAPH, GRAPH_PICTURE, SUMMARY})
 EXPORTS = frozenset(
     {f"{EXPORTED}.{suffix}" for suffix in ("pgm", "yaml", "geojson", "svg", "dxf", "g2o")}
-    | {f"{MEASURED}.{suffix}" for suffix in ("csv", "svg", "dxf")}
+    | {f"{MEASURED}.{suffix}" for suffix in ("csv", "svg", "dxf", "geojson")}
     | {POINTS}
 )
 """Files that `wclm map` and `wclm measure` add to the directory of a run. They can be made again, so --overwrite
 removes them, too."""
+
+
+def refuse_results(recording: str) -> str:
+    """Return the name of a recording; raises MapError if it is a directory with the map of a run instead."""
+    if (Path(recording) / MAP).is_file():
+        raise MapError(
+            f"{recording}: contains the results of a run and no recording; wclm review {recording} shows them, "
+            f"wclm run RECORDING --continue {recording} extends the map, wclm optimize {recording} refines it"
+        )
+    return recording
 
 
 class OutputDirectory:

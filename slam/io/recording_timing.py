@@ -100,6 +100,19 @@ class RecordingTiming:
         return lines
 
 
+def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, RecordingTiming | None]:
+    """Return the settings with each lidar's delay that a source shows, if none is set, and the timing of each lidar."""
+    first = RecordingTiming.of(source, config.lidar)
+    config = first.compensated(config)
+    second = RecordingTiming.of_second(source, config.second_lidar)
+    if second is None:
+        return config, first, None
+    if config.second_lidar.delay is None:
+        second = second.beside(first)
+    lidar = config.second_lidar.model_copy(update={"delay": second.used_delay})
+    return config.model_copy(update={"second_lidar": lidar}), first, second
+
+
 def _evidence(test: BeamOrderTest | None) -> str:
     """Return how the order of the beams is known, as the end of a line of text; empty if it is set."""
     if test is None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import slam
 from drivers.messages import GroundTruth, Message, Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
@@ -32,10 +33,10 @@ LATE = 0.2
 
 
 def run(messages: Iterable[Message], config: Config = TOPICS) -> Finished:
-    slam = Slam(config)
+    pipeline = Slam(config)
     for message in messages:
-        slam.add(message)
-    return slam.finish()
+        pipeline.add(message)
+    return pipeline.finish()
 
 
 def is_first(message: Message) -> bool:
@@ -117,6 +118,10 @@ def test_the_topics_must_be_named(recording: Path) -> None:
     with pytest.raises(ConfigurationError, match=r"^second_lidar.topic: lidar.topic must name"):
         open_source(recording, Config(second_lidar=SecondLidarConfig(topic="/scan_2")))
     assert all(map(is_first, open_source(recording, Config())))
+
+
+def test_one_call_maps_both(result: Finished, recording: Path) -> None:
+    np.testing.assert_array_equal(slam.run(recording, TOPICS).finished.poses, result.poses)
 
 
 def test_scans_of_both_are_placed_in_the_map(drive: list[Message], result: Finished) -> None:

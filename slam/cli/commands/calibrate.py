@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...io.output_dir import refuse_results
 from ..console import progress
 from ..options import ConfigOption, SetOption
 
@@ -15,7 +16,10 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    recording: Annotated[str, typer.Argument(help="Recording with left and right turns, as for `wclm run`.")],
+    recording: Annotated[
+        str,
+        typer.Argument(callback=refuse_results, help="Recording with left and right turns, as for `wclm run`."),
+    ],
     wheel_radius: Annotated[
         float | None,
         typer.Option("--wheel-radius", min=0.0, help="Wheel radius in metres with which the odometry was recorded."),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
+from ...io.output_dir import refuse_results
 from ..options import SetOption
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ class ExtractedScan(NamedTuple):
 
 
 def features(
-    recording: Annotated[str, typer.Argument(help="Recording, as for `wclm run`.")],
+    recording: Annotated[str, typer.Argument(callback=refuse_results, help="Recording, as for `wclm run`.")],
     scan: Annotated[int, typer.Option("--scan", min=0, help="Index of the scan, from 0.")],
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the scan and its features.")
@@ -51,14 +52,14 @@ def features(
 
 def extract_scan(recording: str, number: int, config: Config) -> ExtractedScan:
     """Extract the features of scan `number` of a recording, from 0. Raises RecordingError if there is no such scan."""
-    import drivers
     from drivers.errors import RecordingError
     from drivers.messages import Scan
 
+    from ...io.recordings import open_source
     from ...preprocessing.extraction import build_extractor
 
     extractor, bias = build_extractor(config.lidar, config.features), config.lidar.range_bias
-    source = drivers.open(recording)
+    source = open_source(recording, config)
     scans = (message for message in source if isinstance(message, Scan))
     count = 0
     for found in islice(scans, number + 1):

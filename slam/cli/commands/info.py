@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...io.output_dir import refuse_results
 from ..console import printable
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ CALENDAR = 1e8
 
 
 def info(
-    recording: Annotated[str, typer.Argument(help="Recording, as for `wclm run`.")],
+    recording: Annotated[str, typer.Argument(callback=refuse_results, help="Recording, as for `wclm run`.")],
 ) -> None:
     """Describe a recording and report problems in its data: rates, gaps, stamps, beams, odometry.
 

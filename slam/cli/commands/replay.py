@@ -8,13 +8,18 @@ from typing import Annotated
 
 import typer
 
+from ...io.output_dir import refuse_results
+
 DISPLAY_PERIOD = 0.1
 """Seconds between two updates of the display."""
 
 
 def replay(
     recording: Annotated[
-        str, typer.Argument(help="Recording, as for `wclm run`, or byte capture of a device (.tape).")
+        str,
+        typer.Argument(
+            callback=refuse_results, help="Recording, as for `wclm run`, or byte capture of a device (.tape)."
+        ),
     ],
     speed: Annotated[float, typer.Option("--speed", min=0.01, max=1000.0, help="Factor of the original speed.")] = 1.0,
 ) -> None:

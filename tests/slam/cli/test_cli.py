@@ -247,6 +247,14 @@ def test_an_empty_directory_is_refused_as_recording(wclm: Any, tmp_path: Path) -
     wclm.refuses("run", "bag", "--out", "out", because=["bag: the directory is not a ROS 2 bag"])
 
 
+@pytest.mark.parametrize("command", ["run", "info", "calibrate", "replay", "features"])
+def test_results_are_refused_as_recording_before_options_are_missed(wclm: Any, tmp_path: Path, command: str) -> None:
+    (tmp_path / "map").mkdir()
+    (tmp_path / "map" / "map.json").write_text("{}")
+    hints = ("wclm review map", "--continue map", "wclm optimize map")
+    wclm.refuses(command, "map", because=["map: contains the results of a run and no recording", *hints])
+
+
 def test_recordings_in_a_directory_are_named(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "drives").mkdir()
     for number in range(7):

@@ -132,6 +132,15 @@ def test_empty_directory_is_replaced(tmp_path: Path) -> None:
     assert contents(tmp_path / "out") == {SUMMARY: "new"}
 
 
+@pytest.mark.parametrize("name", ["map.dxf", "measurements.csv", "measurements.geojson", "points.ply"])
+def test_exports_beside_the_results_are_replaced(tmp_path: Path, name: str) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / name).write_text("old")
+    with OutputDirectory(tmp_path / "out", overwrite=True) as directory:
+        (directory / SUMMARY).write_text("new")
+    assert contents(tmp_path / "out") == {SUMMARY: "new"}
+
+
 def test_directory_with_other_files_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(OutputError, match=r"contains thesis\.tex, which is not a result of a run; not overwritten"):
