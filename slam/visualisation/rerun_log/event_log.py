@@ -97,7 +97,7 @@ class EventLog:
         self._index: int | None = None  # of the last keyframe
         self._added = 0  # keyframes of this run
         self._last_notice: tuple[str, int | None] | None = None  # with that keyframe
-        self._stamp = 0.0
+        self._stamp = 0.0  # of the last keyframe; without any, as if only localised, of the last map or scan
         self._pose = np.zeros(3)
         self._overlap_ratio = math.nan  # of the last scan
         self._dof = 0  # degrees of freedom of the graph; 0: unknown
@@ -208,7 +208,13 @@ class EventLog:
             self._log_text(event.text, event.level)
         self._last_notice = notice
 
+    def _follow_without_keyframes(self, stamp: float) -> None:
+        """Keep the stamp of an event for the rows at the end, unless there are keyframes, whose stamps are kept."""
+        if self._index is None:
+            self._stamp = stamp
+
     def _write_scan(self, event: ScanTracked) -> None:
+        self._follow_without_keyframes(event.stamp)
         self._overlap_ratio = event.overlap_ratio
         self._writer.begin_part_if_full()  # not only at keyframes: in familiar places there are none for days
         self._between_keyframes(event.stamp)
@@ -267,6 +273,7 @@ class EventLog:
         self._keyframe_layer.move_robot(event.pose)
 
     def _write_map(self, event: MapUpdated) -> None:
+        self._follow_without_keyframes(event.stamp)
         self._at(max(self._index or 0, event.index), event.stamp)
         self._lines, self._corners, self._keyframes = event.walls, event.corners, event.keyframes
         self._log_map(event.walls, event.corners, event.keyframes, event.keyframes)

@@ -486,3 +486,14 @@ def test_a_step_repeats_the_last_texts_only(tmp_path, monkeypatch):
     steps = [batch for batch in batches if rrd_writer.CANDIDATE in batch.schema.names]
     texts = [text for batch in steps for text in batch.column("TextLog:text").to_pylist()]
     assert texts == [["notice 4"], ["notice 5"], ["notice 6"]]
+
+
+def test_rows_at_the_end_of_a_log_without_keyframes_are_stamped_like_its_scans(tmp_path):
+    path, start = tmp_path / "localised.rrd", 1.7e9
+    found = Corridor(step=4.0, start=start).events()
+    events = [event for event in found if isinstance(event, ScanTracked | MapUpdated | Finished)]
+    log_events(path, events)
+    batches = [chunk.to_record_batch() for chunk in RrdReader(path).stream()]
+    stamps = [batch.column("sensor_time") for batch in batches if "sensor_time" in batch.schema.names]
+    assert {str(column.type) for column in stamps} == {"timestamp[ns]"}
+    assert max(column.to_numpy().max() for column in stamps) == np.datetime64(int(1e9 * events[-2].stamp), "ns")
