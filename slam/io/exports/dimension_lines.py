@@ -15,8 +15,16 @@ SIDE_DISTANCE = 0.2
 """Metres between the wall and the dimension line of a room's side, which is inside the room."""
 DRAWN_KINDS = (Kind.LENGTH, Kind.WIDTH, Kind.DISTANCE)
 """Kinds that are drawn as lines; areas are texts."""
-TEXT_HEIGHT = 0.1
-"""Height of the texts, metres."""
+TEXT_HEIGHT = 0.125
+"""Height of the texts, metres: 2.5 mm of paper at 1 : 50, as in working drawings (ISO 3098)."""
+AREA_TEXT_HEIGHT = 0.175
+"""Height of the texts of rooms, metres: 3.5 mm."""
+UPRIGHT = np.radians(5.0)
+"""Angle by which a text that is read from the right may lean to the left: walls are never exactly upright."""
+TEXT_GAP = 0.3
+"""Distance between a text and its line, as a share of the height."""
+CHARACTER_WIDTH = 0.8
+"""Width of a character of common fonts with the space to the next one, as a share of the height of capital letters."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,10 +49,10 @@ class DimensionLine:
 
     @property
     def angle(self) -> float:
-        """Direction of the text, radians from -pi/2 to pi/2, so that it is not upside down."""
+        """Direction of the text, radians, so that it is read from below or, if upright, from the right."""
         dx, dy = self.line[1] - self.line[0]
-        angle = float(np.arctan2(dy, dx))
-        return angle - np.pi * round(angle / np.pi)
+        angle = np.arctan2(dy, dx)
+        return float(angle - np.pi * round((angle - UPRIGHT) / np.pi))
 
 
 def dimension_lines(measurements: Iterable[Measurement]) -> list[DimensionLine]:
@@ -52,7 +60,7 @@ def dimension_lines(measurements: Iterable[Measurement]) -> list[DimensionLine]:
     lines = []
     for one in measurements:
         text = format_value(one)
-        if one.kind not in DRAWN_KINDS or one.value < 0.7 * TEXT_HEIGHT * len(text):
+        if one.kind not in DRAWN_KINDS or one.value < CHARACTER_WIDTH * TEXT_HEIGHT * len(text):
             continue
         along = one.ends[1] - one.ends[0]
         left = np.array([-along[1], along[0]]) / np.hypot(*along)

@@ -19,17 +19,18 @@ from ...extras import require_extra
 from ...geometry.segments import Floats
 from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ..run_results import RunResults
-from .dimension_lines import TEXT_HEIGHT, DimensionLine, area_texts, dimension_lines, opening_text
+from .dimension_lines import AREA_TEXT_HEIGHT, TEXT_GAP, TEXT_HEIGHT, DimensionLine, area_texts, opening_text
 from .path_thinning import thin_path
+from .text_placement import placed_dimensions
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing
     from ezdxf.layouts import Modelspace
 
-LAYERS = {"WALLS": 7, "CORNERS": 1, "PATH": 5}
-"""Layers and their colour numbers: black or white, red, blue."""
-MEASURED_LAYERS = {"ROOMS": 3, "OPENINGS": 4, "DIMENSIONS": 8}
-"""Layers of a measured map: green, cyan, grey."""
+LAYERS = {"WALLS": (7, 50), "CORNERS": (1, 18), "PATH": (5, 18)}
+"""Layers, their colour numbers (black or white, red, blue), and the widths of their lines in 1/100 mm of paper."""
+MEASURED_LAYERS = {"ROOMS": (3, 18), "OPENINGS": (4, 25), "DIMENSIONS": (8, 13)}
+"""The same of a measured map: green, cyan, grey."""
 OWN_APPLICATION = "WCLM_SLAM"
 """Registered application (APPID) by which drawings of this project are recognised if they are read as plans."""
 DIMENSION_STYLE = "METRES"
@@ -37,9 +38,12 @@ DIMENSIONS = {
     "dimtxt": TEXT_HEIGHT,
     "dimtsz": 0.06,  # oblique strokes instead of arrows
     "dimasz": 0.06,
-    "dimgap": 0.03,
+    "dimgap": TEXT_GAP * TEXT_HEIGHT,
     "dimexo": 0.0,
     "dimexe": 0.0,
+    "dimclrd": 8,  # lines grey, the text black or white
+    "dimclre": 8,
+    "dimclrt": 7,
     "dimtad": 1,  # text above the line
     "dimtih": 0,  # text along the line
     "dimtoh": 0,
@@ -64,8 +68,9 @@ def write_dxf(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_M
     with _same_output():
         document = ezdxf.new("R2000", units=units.M)
         document.appids.add(OWN_APPLICATION)
-        for name, colour in (LAYERS | (MEASURED_LAYERS if measured is not NOTHING_MEASURED else {})).items():
-            document.layers.add(name, color=colour)
+        layers = LAYERS | (MEASURED_LAYERS if measured is not NOTHING_MEASURED else {})
+        for name, (colour, line_width) in layers.items():
+            document.layers.add(name, color=colour, lineweight=line_width)
         style = document.dimstyles.new(DIMENSION_STYLE, dxfattribs=DIMENSIONS)
         style.copy_to_header(document)  # for programs without dimension styles, and as the current style
         _set_view(document, results)
@@ -73,8 +78,8 @@ def write_dxf(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_M
         _add_rooms(space, measured)
         _add_map(space, results)
         _add_openings(space, measured)
-        for line in dimension_lines(measured.measurements):
-            _add_dimension(space, line)
+        for line, place in placed_dimensions(measured):
+            _add_dimension(space, line, place)
         document.saveas(path)
 
 
@@ -114,7 +119,7 @@ def _add_rooms(space: Modelspace, measured: MeasuredMap) -> None:
         for part in (room.outline, *room.islands):
             space.add_lwpolyline([_point(p) for p in part.vertices], close=True, dxfattribs={"layer": "ROOMS"})
     for place, text in area_texts(measured.measurements):
-        _add_text(space, "ROOMS", place, text, 2.0 * TEXT_HEIGHT)
+        _add_text(space, "ROOMS", place, text, AREA_TEXT_HEIGHT)
 
 
 def _add_openings(space: Modelspace, measured: MeasuredMap) -> None:
@@ -124,19 +129,22 @@ def _add_openings(space: Modelspace, measured: MeasuredMap) -> None:
         _add_text(space, "OPENINGS", place, text, TEXT_HEIGHT, angle)
 
 
-def _add_dimension(space: Modelspace, line: DimensionLine) -> None:
-    """Add an aligned dimension with its picture, which programs show without computing it."""
+def _add_dimension(space: Modelspace, line: DimensionLine, place: Floats) -> None:
+    """Add an aligned dimension, its text above a place (2,) of the line, with its picture, which programs show."""
     direction = np.array([np.cos(line.angle), np.sin(line.angle)])
     start, end = sorted(line.measured, key=lambda point: float(point @ direction))  # else the text is upside down
     left = np.array([-direction[1], direction[0]])
-    space.add_aligned_dim(
+    dimension = space.add_aligned_dim(
         _point(start),
         _point(end),
         distance=float(left @ (line.line[0] - line.measured[0])),
         text=line.text,
         dimstyle=DIMENSION_STYLE,
         dxfattribs={"layer": "DIMENSIONS"},
-    ).render()
+    )
+    if shift := round(float((place - line.middle) @ direction), 6):
+        dimension.shift_text(shift, 0.0)
+    dimension.render()
 
 
 def _add_text(space: Modelspace, layer: str, middle: Floats, text: str, height: float, angle: float = 0.0) -> None:

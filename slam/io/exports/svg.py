@@ -1,4 +1,4 @@
-"""Write the map as an SVG drawing to the scale 1 : 100."""
+"""Write the map as an SVG drawing to the scale 1 : 100, or with measurements to the scale 1 : 50."""
 
 from __future__ import annotations
 
@@ -13,11 +13,13 @@ from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ...measuring.openings import Opening
 from ...measuring.rooms import Room
 from ..run_results import RunResults
-from .dimension_lines import TEXT_HEIGHT, area_texts, dimension_lines, opening_text
+from .dimension_lines import AREA_TEXT_HEIGHT, TEXT_GAP, TEXT_HEIGHT, area_texts, opening_text
+from .scale_bar import SCALE_BAR_STYLE, draw_scale_bar
 from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
+from .text_placement import placed_dimensions
 
-MILLIMETRES_PER_METRE = 10
-"""Millimetres of paper per metre of the map."""
+SCALE, MEASURED_SCALE = 100, 50
+"""Scales 1 : n of drawings without and with measurements."""
 STYLE = """
 .confidence path { fill: currentColor; fill-opacity: .8; stroke: none }
 .weak circle { fill: none; stroke: #d55e00; stroke-width: .06 }
@@ -49,17 +51,20 @@ def write_svg(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_M
 def svg_text(results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> str:
     """Return the drawing as the text of an SVG file; see `write_svg`."""
     drawing = draw_map(results, confidence=measured is NOTHING_MEASURED)
-    above = [*_openings(measured.openings), *_dimensions(measured)]
+    scale = SCALE if measured is NOTHING_MEASURED else MEASURED_SCALE
+    bar = draw_scale_bar(drawing.left, drawing.top + drawing.height, drawing.width, 1e-3 * scale, f"1 : {scale}")
+    above = [*_openings(measured.openings), *_dimensions(measured), bar.elements]
     elements = "\n".join([*_rooms(measured.rooms), drawing.elements, *above])
     colours = "".join(
         f".{c.name} {{ stroke: {c.colour}; color: {c.colour} }}\n" for c in (*PATH_CLASSES, UNKNOWN_CLASS)
     )
-    width, height = MILLIMETRES_PER_METRE * drawing.width, MILLIMETRES_PER_METRE * drawing.height
+    size = drawing.width, drawing.height + bar.height
+    width, height = (1e3 * metres / scale for metres in size)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.1f}mm" height="{height:.1f}mm" '
-        f'viewBox="{drawing.view_box}">\n'
+        f'viewBox="{drawing.left:.3f} {drawing.top:.3f} {size[0]:.3f} {size[1]:.3f}">\n'
         f"<title>{escape(str(results.summary.get('recording', 'map')))}</title>\n"
-        f"<style>{STYLE}{colours}</style>\n{elements}\n</svg>\n"
+        f"<style>{STYLE}{SCALE_BAR_STYLE}{colours}</style>\n{elements}\n</svg>\n"
     )
 
 
@@ -97,19 +102,21 @@ def _dimensions(measured: MeasuredMap) -> Iterator[str]:
     if not measured.measurements:
         return
     yield '<g class="dimensions">'
-    for one in dimension_lines(measured.measurements):
+    for one, (x, y) in placed_dimensions(measured):
         (x0, y0), (x1, y1) = one.line * [1.0, -1.0]
         (u0, v0), (u1, v1) = one.measured * [1.0, -1.0]
         dx, dy = TICK * np.array([y0 - y1, x1 - x0]) / np.hypot(x1 - x0, y1 - y0)
-        ticks = "".join(f"M{x - dx:.3f},{y - dy:.3f}L{x + dx:.3f},{y + dy:.3f}" for x, y in ((x0, y0), (x1, y1)))
+        ticks = "".join(f"M{u - dx:.3f},{v - dy:.3f}L{u + dx:.3f},{v + dy:.3f}" for u, v in ((x0, y0), (x1, y1)))
         extensions = f"M{u0:.3f},{v0:.3f}L{x0:.3f},{y0:.3f}M{u1:.3f},{v1:.3f}L{x1:.3f},{y1:.3f}"
         yield f'<path d="M{x0:.3f},{y0:.3f}L{x1:.3f},{y1:.3f}{ticks}{extensions}"><title>{one.identity}</title></path>'
-        yield _text(one.middle[0], -one.middle[1], one.text, TEXT_HEIGHT, -float(np.degrees(one.angle)))
+        yield _text(x, -y, one.text, TEXT_HEIGHT, -float(np.degrees(one.angle)))
     for (x, y), text in area_texts(measured.measurements):
-        yield _text(x, -y, text, 2.0 * TEXT_HEIGHT)
+        yield _text(x, -y, text, AREA_TEXT_HEIGHT)
     yield "</g>"
 
 
 def _text(x: float, y: float, text: str, height: float, turn: float = 0.0) -> str:
     place = f"translate({x:.3f} {y:.3f})" + (f"rotate({turn:.2f})" if turn else "")
-    return f'<text transform="{place}" dy="-.03" font-size="{1.4 * height:.2f}">{escape(text)}</text>'
+    return (
+        f'<text transform="{place}" dy="{-TEXT_GAP * height:.4f}" font-size="{1.4 * height:.3f}">{escape(text)}</text>'
+    )

@@ -13,6 +13,7 @@ import numpy as np
 from drivers import se2
 
 from ...geometry.segments import Floats
+from ...io.exports.scale_bar import SCALE_BAR_STYLE, draw_scale_bar
 from ...measuring.wall_map import WallMap
 from .changes import DIFFERENCES, Change, ChangeKind, MapDiff
 from .corners import CornerChange
@@ -147,6 +148,8 @@ def write_diff_svg(path: Path, diff: MapDiff, old: WallMap, new: WallMap) -> Non
     (width, height), left, top = high - low, low[0], -high[1]
     longer = float(max(width, height))
     scale = min(MILLIMETRES_PER_METRE, PAGE / longer)
+    bar = draw_scale_bar(left, top + height, width, 1.0 / scale)
+    height += bar.height
     size = f'width="{scale * width:.1f}mm" height="{scale * height:.1f}mm"'
     view = f'viewBox="{left:.3f} {top:.3f} {width:.3f} {height:.3f}"'
     stroke = max(STROKE * longer, LEAST_STROKE)
@@ -155,8 +158,8 @@ def write_diff_svg(path: Path, diff: MapDiff, old: WallMap, new: WallMap) -> Non
         f".unseen {{ stroke-dasharray: 0 {DOT_SPACING * stroke:.2f} }}\n"
         f"text {{ font: {max(TEXT * longer, LEAST_TEXT):.2f}px sans-serif }}"
     )
-    body = "\n".join(elements)
-    style = f"<style>{STYLE}{sizes}\n</style>"
+    body = "\n".join([*elements, bar.elements])
+    style = f"<style>{STYLE}{sizes}\n{SCALE_BAR_STYLE}</style>"
     text = f'<svg xmlns="http://www.w3.org/2000/svg" {size} {view}>\n{style}\n{body}\n</svg>\n'
     path.write_text(text, encoding="utf-8", newline="\n")
 

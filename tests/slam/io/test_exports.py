@@ -18,8 +18,9 @@ from slam.config import Config
 from slam.errors import MapError
 from slam.events import Finished
 from slam.io.exports import write_dxf, write_geojson, write_svg
-from slam.io.exports.dimension_lines import dimension_lines
+from slam.io.exports.dimension_lines import TEXT_HEIGHT
 from slam.io.exports.measurements_csv import measurements_csv
+from slam.io.exports.text_placement import placed_dimensions
 from slam.io.json_files import write_json
 from slam.io.keyframes_csv import read_keyframes
 from slam.io.plans.geojson import read_geojson
@@ -98,15 +99,18 @@ def test_dxf_has_rooms_doors_and_dimensions(results: RunResults, measured: Measu
     assert sorted([door.dxf.start.x, door.dxf.end.x]) == pytest.approx([2.0, 3.0])
     texts = {text.dxf.layer: text.dxf.text for text in space.query("TEXT")}
     assert texts == {"ROOMS": "room 1: 19.00 ± 0.01 m²", "OPENINGS": "door 1: 1.0 m"}
-    lines = dimension_lines(measured.measurements)
+    lines = placed_dimensions(measured)
     dimensions = list(space.query("DIMENSION"))
     assert len(dimensions) == len(lines) > 4
-    for dimension, line in zip(dimensions, lines, strict=True):
+    for dimension, (line, place) in zip(dimensions, lines, strict=True):
         assert (dimension.dxf.layer, dimension.dxf.dimstyle) == ("DIMENSIONS", "METRES")
         assert dimension.dxf.text == line.text
         assert dimension.get_measurement() == pytest.approx(np.hypot(*(line.measured[1] - line.measured[0])), abs=1e-5)
         (text,) = (entity for entity in dimension.get_geometry_block() if entity.dxftype() == "MTEXT")
-        assert -90.0 <= text.get_rotation() <= 90.0  # not upside down
+        below = np.array(text.dxf.insert)[:2] - place
+        assert below @ [np.cos(line.angle), np.sin(line.angle)] == pytest.approx(0.0, abs=1e-5)
+        assert 0.0 < below @ [-np.sin(line.angle), np.cos(line.angle)] < 2.0 * TEXT_HEIGHT
+        assert -85.0 <= text.get_rotation() <= 95.0  # not upside down; read from the right if upright
 
 
 def test_svg_has_rooms_without_their_islands_and_doors(
@@ -162,8 +166,14 @@ def test_svg_is_true_to_scale_with_y_up(results: RunResults, tmp_path: Path) -> 
     space = {"s": "http://www.w3.org/2000/svg"}
     left, top, width, height = (float(word) for word in root.attrib["viewBox"].split())
     assert root.attrib["width"] == f"{10 * width:.1f}mm"
+    assert float(root.attrib["height"].removesuffix("mm")) == pytest.approx(10 * height, abs=0.1)
+    (bar,) = root.findall("s:g[@class='scale']", space)
+    x, y, length = (float(word) for word in re.findall(r"M(.*),(.*)v.*h(.*)v", bar[0].attrib["d"])[0])
+    assert bar[1].text == f"{length:g} m, 1 : 100"
+    assert left < x < x + length < left + width
+    assert 0.0 < y < float(bar[1].attrib["y"]) < top + height
     assert left < 0 < 6 < left + width
-    assert top < -4 < 0 < top + height
+    assert top < -4 < 0 < y
     walls = root.findall("s:g[@class='walls']/s:path", space)
     assert walls[0].attrib["d"] == "M0.000,0.000L6.000,0.000"
     assert walls[3].attrib["d"].count("M") == 2

@@ -208,6 +208,7 @@ def test_outputs_name_the_changes(random: np.random.Generator, tmp_path: Path) -
     classes = [child.attrib.get("class") for child in ElementTree.parse(tmp_path / "a.svg").getroot()]
     assert classes.count("new") == 1
     assert classes.count("same") == 6
+    assert classes.count("scale") == 1
 
 
 def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> None:
