@@ -165,7 +165,18 @@ class GraphEstimate:
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose relative to an older one, in its own frame."""
-        joint = self.solver.joint_covariance([X(old), X(keyframe)])
+        return self._of_difference(self.solver.joint_covariance([X(old), X(keyframe)]), old, keyframe)
+
+    def relative_covariances_to_all(self, old: Sequence[int], keyframe: int) -> list[Floats]:
+        """Return the covariances (3, 3) of a keyframe's pose relative to each of some older ones, in its own frame.
+
+        Takes as long as some few alone.
+        """
+        joint = self.solver.joint_covariances([[X(one), X(keyframe)] for one in old])
+        return [self._of_difference(both, one, keyframe) for both, one in zip(joint, old, strict=True)]
+
+    def _of_difference(self, joint: Floats, old: int, keyframe: int) -> Floats:
+        """Return the covariance (3, 3) of a relative pose, given the joint one (6, 6) of both poses."""
         adjoint = se2.adjoint(se2.between(self.keyframe_pose(keyframe), self.keyframe_pose(old)))
         jacobian = np.hstack([-adjoint, np.eye(3)])
         return np.asarray(ROBUST_COVARIANCE_SCALE * jacobian @ joint @ jacobian.T)

@@ -19,8 +19,9 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats
-from ..matching.distance_field import DistanceField
-from ..matching.point_costs import COARSE_SIGMA, MISFIT, UNSEEN, points_cost
+from ..matching.distance_field import DistanceField, facing_grid
+from ..matching.offset_tiles import FIELD_CELL
+from ..matching.point_costs import COARSE_SIGMA, MISFIT, UNSEEN, cost_at
 from ..matching.point_matcher import Prediction, match_from, point_cost
 from ..matching.scan_points import subsample
 
@@ -182,17 +183,24 @@ def are_distinct(pose: se2.Pose, other: se2.Pose) -> bool:
 
 @compiled
 def _grid_costs(field, points, prediction, reach, turn):  # type: ignore[no-untyped-def]
-    """Return the costs (t, n, n) of the poses on a grid around the prediction, in its axes."""
+    """Return the costs (t, n, n) of the poses on a grid around the prediction, in its axes.
+
+    All positions are tried with one point after the other: its direction is computed once, and it stays near in memory.
+    """
     turns, steps = math.ceil(turn / SEARCH_TURN_STEP), math.ceil(reach / SEARCH_STEP)
-    costs = np.empty((2 * turns + 1, 2 * steps + 1, 2 * steps + 1))
-    c, s = math.cos(prediction[2]), math.sin(prediction[2])
-    pose = prediction.copy()
+    costs = np.zeros((2 * turns + 1, 2 * steps + 1, 2 * steps + 1))
+    step = SEARCH_STEP / FIELD_CELL
+    step_x, step_y = math.cos(prediction[2]) * step, math.sin(prediction[2]) * step
+    start_x, start_y = (prediction[0] - field[0][0]) / FIELD_CELL, (prediction[1] - field[0][1]) / FIELD_CELL
     for k in range(2 * turns + 1):
-        pose[2] = prediction[2] + (k - turns) * SEARCH_TURN_STEP
-        for i in range(2 * steps + 1):
-            for j in range(2 * steps + 1):
-                forward, left = (i - steps) * SEARCH_STEP, (j - steps) * SEARCH_STEP
-                pose[0] = prediction[0] + c * forward - s * left
-                pose[1] = prediction[1] + s * forward + c * left
-                costs[k, i, j] = points_cost(field, points, pose)[0]
+        heading = prediction[2] + (k - turns) * SEARCH_TURN_STEP
+        c, s = math.cos(heading), math.sin(heading)
+        for m in range(len(points)):
+            grid = facing_grid(c * points[m, 2] - s * points[m, 3], s * points[m, 2] + c * points[m, 3])
+            x = start_x + (c * points[m, 0] - s * points[m, 1]) / FIELD_CELL
+            y = start_y + (s * points[m, 0] + c * points[m, 1]) / FIELD_CELL
+            for i in range(-steps, steps + 1):
+                for j in range(-steps, steps + 1):
+                    at_x, at_y = x + i * step_x - j * step_y, y + i * step_y + j * step_x
+                    costs[k, i + steps, j + steps] += cost_at(field, grid, at_x, at_y)[0]
     return costs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -72,12 +73,28 @@ class KeyframeCovariances:
             return mapper.gauge.covariance_across(mapper, old, keyframe)
         return self.relative_in_graph(old, keyframe)
 
+    def relative_to_all(self, old: Sequence[int], keyframe: int) -> list[Floats]:
+        """Return (3, 3) the covariances of a keyframe's pose relative to each of some older ones; see `relative`."""
+        mapper = self._mapper
+        across = [mapper.gauge.separates(mapper, one, keyframe) for one in old]
+        connected = [one for one, separate in zip(old, across, strict=True) if not separate]
+        found = iter(mapper.graph.relative_covariances_to_all(connected, keyframe))
+        return [
+            mapper.gauge.covariance_across(mapper, one, keyframe)
+            if separate
+            else next(found) + self._relative_drift(one, keyframe)
+            for one, separate in zip(old, across, strict=True)
+        ]
+
     def relative_in_graph(self, old: int, keyframe: int) -> Floats:
         """Return the covariance as `relative` does, of keyframes that factors of the graph connect."""
+        return self._mapper.graph.relative_covariance(old, keyframe) + self._relative_drift(old, keyframe)
+
+    def _relative_drift(self, old: int, keyframe: int) -> Floats:
+        """Return (3, 3) the correlated drift from an older keyframe to another one, in its own frame."""
         mapper = self._mapper
         correlated = embed_position_covariance(mapper.correlated_drift[keyframe] - mapper.correlated_drift[old])
-        heading = mapper.graph.keyframe_pose(keyframe)[2]
-        return mapper.graph.relative_covariance(old, keyframe) + rotate_covariance(correlated, -heading)
+        return rotate_covariance(correlated, -mapper.graph.keyframe_pose(keyframe)[2])
 
     def relative_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
         """Return (3, 3) an upper bound of `relative`, which takes much less time.

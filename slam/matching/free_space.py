@@ -72,7 +72,9 @@ def mark_seen(seen, x, y, end_x, end_y):  # type: ignore[no-untyped-def]
 def is_seen(seen, x, y):  # type: ignore[no-untyped-def]
     """True if (x, y), in cells of FIELD_CELL, lies in a cell that was seen."""
     row, column, cells = math.floor(x), math.floor(y), SEEN_CELLS * len(seen)
-    return 0 <= row < cells and 0 <= column < cells and seen[row // SEEN_CELLS, column // SEEN_CELLS] > 0
+    if row < 0 or column < 0 or row >= cells or column >= cells:
+        return False
+    return seen[np.uintp(row // SEEN_CELLS), np.uintp(column // SEEN_CELLS)] > 0
 
 
 @inlined

@@ -95,12 +95,23 @@ def _point_cost(field, points, k, pose, c, s):  # type: ignore[no-untyped-def]
     x = (pose[0] + c * points[k, 0] - s * points[k, 1] - field[0][0]) / FIELD_CELL
     y = (pose[1] + s * points[k, 0] + c * points[k, 1] - field[0][1]) / FIELD_CELL
     grid = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
-    value, evidence = nearest_distance(field, grid, x, y), is_seen(field[3], x, y)
-    if value >= MAX_DISTANCE:  # beside a surface that faces elsewhere: perhaps the other side of a wall
-        evidence = evidence and nearest_distance(field, ALL_POINTS, x, y) >= MAX_DISTANCE
-    if evidence:
-        return min(0.5 * value * value / (COARSE_SIGMA * COARSE_SIGMA), MISFIT), True
-    return UNSEEN, False
+    return cost_at(field, grid, x, y)
+
+
+@inlined
+def cost_at(field, grid, x, y):  # type: ignore[no-untyped-def]
+    """Return the cost of a point at (x, y), in cells, on a surface that faces as `grid` does, and if it is known.
+
+    The most frequent case is decided first: this is the innermost function of all searches.
+    """
+    if not is_seen(field[3], x, y):
+        return UNSEEN, False
+    distance = nearest_distance(field, grid, x, y)
+    if distance < MAX_DISTANCE:
+        return min(0.5 * distance * distance / (COARSE_SIGMA * COARSE_SIGMA), MISFIT), True
+    # Beside a surface that faces elsewhere, a point may be on the other side of a wall.
+    known = nearest_distance(field, ALL_POINTS, x, y) >= MAX_DISTANCE
+    return (MISFIT if known else UNSEEN), known
 
 
 @compiled
