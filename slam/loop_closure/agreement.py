@@ -18,8 +18,8 @@ where odometry has put them, and a pose that fits there is one of the matches.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ from .look import MAX_PLACES, SUBMAP_LENGTH, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
-from .submap_search import SubmapMatch
+from .votes import Search, Tested, Vote, find_votes, is_recognised
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = 2.0
@@ -44,23 +44,11 @@ RIVAL_QUALITY = 0.9
 # Factor of the estimate's standard deviations if no place is recognised within them. Origin: chosen, real lidars, walls
 # and wheels have errors that no model contains: in a corridor of 1.9 km deviations were 5 standard deviations.
 DOUBTED_SCALE = 2.0
+# Places beyond the estimate's uncertainty that are searched at a look, if those within it take all the time.
+# Origin: chosen, within MEMORY 40 of them are searched.
+MIN_DOUBTED_PLACES = 2
 # Metres of driving after the last support for which a hypothesis is followed. Origin: chosen; not measured.
 MEMORY = 40.0
-
-Search = Callable[[Look, int], Sequence[SubmapMatch]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Vote:
-    """Match of a look at an old place, with the motion in the map that it implies."""
-
-    old: int
-    match: SubmapMatch
-    motion: se2.Pose
-
-
-_Tested = tuple[LoopHypothesis, _Vote | None]
-"""A hypothesis, and the match where it has the robot, if a place was mapped there."""
 
 
 class LoopAgreement:
@@ -157,11 +145,12 @@ class LoopAgreement:
         look = Look(mapper, local_field, self._submaps, among, apart=self._joins)
         places = look.possible_places()
         tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
-        found = [] if self._is_settled(look, places, tested) else self._search(look, places)
-        if not (self._joins or found or self._returns or _is_recognised(look, tested)):
+        found = [] if self._is_settled(look, places, tested) else self._find(look, places)
+        if not (self._joins or found or self._returns or is_recognised(look, tested)):
             look = Look(mapper, local_field, self._submaps, among, deviation_scale=DOUBTED_SCALE)
+            left = max(MIN_DOUBTED_PLACES, MAX_PLACES - len(places))
             places = look.possible_places()
-            found = self._search(look, places)
+            found = self._find(look, places, left)
         if not places:
             return None
         self._vote(look, tested, found, local_field)
@@ -171,7 +160,7 @@ class LoopAgreement:
             return None
         return self.number(decision)
 
-    def _is_settled(self, look: Look, places: Sequence[int], tested: Sequence[_Tested]) -> bool:
+    def _is_settled(self, look: Look, places: Sequence[int], tested: Sequence[Tested]) -> bool:
         """True if the look agrees with the estimate, which is certain: other places need not be searched."""
         votes = [vote for hypothesis, vote in tested if hypothesis is self._estimate and vote is not None]
         agrees = any(fits(v.match) and is_determined(v.match) and look.agrees(v.old, v.match) for v in votes)
@@ -180,22 +169,13 @@ class LoopAgreement:
             self._searched |= dict.fromkeys(places, look.travelled)
         return settled
 
-    def _search(self, look: Look, places: Sequence[int]) -> list[_Vote]:
-        """Return the matches with old places; those that were not searched for the longest time come first."""
-        votes: list[_Vote] = []
-        for old in sorted(places, key=lambda place: self._searched.get(place, -np.inf))[:MAX_PLACES]:
-            self._searched[old] = look.travelled
-            for match in self._search_place(look, old):
-                if fits(match) and is_determined(match):
-                    votes.append(_Vote(old, match, look.motion(old, match.pose)))
-        votes.sort(key=lambda vote: -vote.match.score)
-        distinct: list[_Vote] = []
-        for vote in votes:
-            if all(differ(look, vote.motion, other.motion) for other in distinct):
-                distinct.append(vote)
-        return distinct
+    def _find(self, look: Look, places: Sequence[int], most: int = MAX_PLACES) -> list[Vote]:
+        """Return the matches with old places, at most some: those that were not searched for the longest time."""
+        chosen = sorted(places, key=lambda place: self._searched.get(place, -np.inf))[:most]
+        self._searched |= dict.fromkeys(chosen, look.travelled)
+        return find_votes(look, chosen, self._search_place)
 
-    def _vote(self, look: Look, tested: Sequence[_Tested], found: Sequence[_Vote], local_field: LocalField) -> None:
+    def _vote(self, look: Look, tested: Sequence[Tested], found: Sequence[Vote], local_field: LocalField) -> None:
         """Let a look support or contradict all hypotheses, and propose new ones.
 
         tested  all hypotheses, with the look's match where each has the robot
@@ -235,16 +215,16 @@ class LoopAgreement:
     def _all_hypotheses(self) -> list[LoopHypothesis]:
         return self._hypotheses if self._joins else [self._estimate, *self._hypotheses]
 
-    def _test(self, look: Look, hypothesis: LoopHypothesis) -> _Vote | None:
+    def _test(self, look: Look, hypothesis: LoopHypothesis) -> Vote | None:
         """Return the match of a look with the place where a hypothesis has the robot, if there is one."""
         old = look.place_at(se2.compose(hypothesis.motion, look.pose))
         if old is None:
             return None
         since = hypothesis.support[-1].keyframe if hypothesis.support else look.last
         match = look.test(old, hypothesis.motion, since)
-        return _Vote(old, match, look.motion(old, match.pose))
+        return Vote(old, match, look.motion(old, match.pose))
 
-    def _add_support(self, hypothesis: LoopHypothesis, look: Look, vote: _Vote, local_field: LocalField) -> None:
+    def _add_support(self, hypothesis: LoopHypothesis, look: Look, vote: Vote, local_field: LocalField) -> None:
         """Add a look to the support of a hypothesis; or link the places if nothing has to be corrected."""
         if hypothesis is self._estimate and look.agrees(vote.old, vote.match):
             local_field.link(vote.old, look.last)
@@ -312,9 +292,3 @@ class LoopAgreement:
             equal = sum(not prevails(consistent, rival) for rival in rivals)
             was_retracted = not all(differ(look, hypothesis.motion, motion) for motion in self._retracted)
             hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)
-
-
-def _is_recognised(look: Look, tested: Sequence[_Tested]) -> bool:
-    """True if a hypothesis fits where the estimate's uncertainty admits it."""
-    fitting = (vote for _, vote in tested if vote is not None and fits(vote.match))
-    return any(look.admits(vote.old, vote.match.pose) for vote in fitting)

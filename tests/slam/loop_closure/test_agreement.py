@@ -10,10 +10,10 @@ import numpy as np
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
-from slam.loop_closure.agreement import LoopAgreement
+from slam.loop_closure.agreement import DOUBTED_SCALE, LoopAgreement
 from slam.loop_closure.criteria import MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision, LoopMatch
-from slam.loop_closure.look import SUBMAP_LENGTH, Look, Submaps
+from slam.loop_closure.look import SEARCH_DEVIATIONS, SUBMAP_LENGTH, UNMODELLED_SIGMAS, Look, Submaps
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
 from slam.mapping.landmarks import Landmarks
@@ -54,6 +54,9 @@ class StubMap:
 
     def relative(self, old: int, keyframe: int) -> Floats:
         return self.covariance
+
+    def relative_to_all(self, old: list[int], keyframe: int) -> list[Floats]:
+        return [self.covariance] * len(old)
 
     def relative_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
         return self.covariance
@@ -102,6 +105,16 @@ def test_drift_is_corrected_once_enough_looks_agree() -> None:
     assert abs(left[2]) < 0.01
     for match in accepted.matches:
         assert abs(match.relative[1]) < 0.1  # both passes are on the same line
+
+
+def test_drift_beyond_the_uncertainty_of_the_estimate_is_corrected() -> None:
+    """The estimate is wrong by 4.7 of its standard deviations, and no other place fits."""
+    drift = np.array([0.3, 2.7, 0.08])
+    accepted = drive_twice(drift, np.zeros(3))[0][0]
+    assert np.hypot(*se2.compose(accepted.correction, drift)[:2]) < 0.15
+    (span,) = [check for check in accepted.checks if check.name == "span"]
+    sigma = np.hypot(DOUBTED_SCALE * SIGMAS[0], UNMODELLED_SIGMAS[0])
+    assert span.gate == max(SUBMAP_LENGTH, SEARCH_DEVIATIONS * sigma)
 
 
 def test_interruptions_do_not_change_what_is_accepted() -> None:

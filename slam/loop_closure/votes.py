@@ -1,0 +1,47 @@
+"""Votes of a look: its matches with old places, and the motions of the robot in the map that they imply."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from drivers import se2
+
+from .criteria import differ, fits, is_determined
+from .look import Look
+from .loop_hypothesis import LoopHypothesis
+from .submap_search import SubmapMatch
+
+Search: TypeAlias = Callable[[Look, int], Sequence[SubmapMatch]]
+"""Returns the matches of a look with the place around an old keyframe."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Vote:
+    """Match of a look with the place around an old keyframe, and the motion [x, y, heading] in the map that follows."""
+
+    old: int
+    match: SubmapMatch
+    motion: se2.Pose
+
+
+Tested: TypeAlias = tuple[LoopHypothesis, Vote | None]
+"""A hypothesis, and the match where it has the robot, if a place was mapped there."""
+
+
+def find_votes(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
+    """Return the votes for distinct motions, those with the best matches first."""
+    found = [(old, match) for old in places for match in search(look, old)]
+    votes = [Vote(old, m, look.motion(old, m.pose)) for old, m in found if fits(m) and is_determined(m)]
+    distinct: list[Vote] = []
+    for vote in sorted(votes, key=lambda vote: -vote.match.score):
+        if all(differ(look, vote.motion, other.motion) for other in distinct):
+            distinct.append(vote)
+    return distinct
+
+
+def is_recognised(look: Look, tested: Sequence[Tested]) -> bool:
+    """Return True if a hypothesis fits where the estimate's uncertainty admits it."""
+    fitting = (vote for _, vote in tested if vote is not None and fits(vote.match))
+    return any(look.admits(vote.old, vote.match.pose) for vote in fitting)
