@@ -131,8 +131,9 @@ def _count(words: list[bytes], index: int) -> int:
 def _check(stamp: float, *pose: float) -> None:
     if not 0.0 <= stamp < math.inf:
         raise ValueError("stamp is invalid")
-    if not all(abs(value) < 1e9 for value in pose):  # false for nan
-        raise ValueError("pose is not finite")
+    for value in pose:
+        if not abs(value) < 1e9:  # also nan
+            raise ValueError("pose is not finite")
 
 
 @lru_cache(maxsize=64)

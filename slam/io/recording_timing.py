@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 from drivers.messages import Source
 from drivers.source_factory import recording_of, second_recording_of
 
-from ..config import Config, LidarConfig
-
 if TYPE_CHECKING:
     from drivers.recordings.reader import RecordingReader
     from drivers.timing.beam_order import BeamOrderTest
     from drivers.timing.delay import Delay
+
+    from ..config import Config, LidarConfig
 
 DIFFERENT = 5.0
 """Standard deviations by which the delays of two lidars must differ to be different: most have one clock."""
@@ -36,8 +36,8 @@ class RecordingTiming:
     used_delay: float = 0.0
 
     @classmethod
-    def of(cls, source: Source, lidar: LidarConfig) -> RecordingTiming:
-        """Determine the timing of a source's lidar, with what the settings say of it."""
+    def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
+        """Determine the timing of a source's lidar, with what the settings say of it; without them, by default."""
         return cls._of_reader(recording_of(source), lidar)
 
     @classmethod
@@ -47,12 +47,13 @@ class RecordingTiming:
         return None if reader is None else cls._of_reader(reader, lidar)
 
     @classmethod
-    def _of_reader(cls, reader: RecordingReader | None, lidar: LidarConfig) -> RecordingTiming:
+    def _of_reader(cls, reader: RecordingReader | None, lidar: LidarConfig | None) -> RecordingTiming:
+        set_delay = None if lidar is None else lidar.delay
         if reader is None:
-            return cls(used_delay=lidar.delay or 0.0)
-        test = reader.beam_order_test if lidar.beam_order == "auto" else None
-        if lidar.delay is not None:
-            return cls(reader.beams_reversed, test, None, lidar.delay)
+            return cls(used_delay=set_delay or 0.0)
+        test = reader.beam_order_test if lidar is None or lidar.beam_order == "auto" else None
+        if set_delay is not None:
+            return cls(reader.beams_reversed, test, None, set_delay)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
         return cls(reader.beams_reversed, test, delay, used)

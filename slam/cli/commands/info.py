@@ -29,11 +29,10 @@ def info(
     """
     import drivers
 
-    from ...config import LidarConfig
     from ...io.recording_timing import RecordingTiming
 
     source = drivers.open(recording)
-    timing = RecordingTiming.of(source, LidarConfig())  # the messages that it has read are inspected
+    timing = RecordingTiming.of(source)  # the messages that it has read are inspected
     typer.echo("\n".join(describe(drivers.inspect(source), timing)))
 
 
