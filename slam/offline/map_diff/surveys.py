@@ -74,3 +74,12 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     if len(pairs) < MIN_COMMON:
         raise MapError(f"the maps cannot be aligned: they have only {len(pairs)} walls in common")
     return motion
+
+
+def shared_scans(old: Survey, new: Survey) -> int:
+    """Return how many scans both sessions contain, as if one was made from the other or from the same recording."""
+    points = {scan.stamp: scan.features.points.xy for scan in old.session.scans}
+    return sum(
+        scan.stamp in points and np.array_equal(points[scan.stamp], scan.features.points.xy)
+        for scan in new.session.scans
+    )
