@@ -31,6 +31,7 @@ class Survey:
     points    of each of these scans, (p, 2) in its frame
     scanned   false for a plan: views of its lines take the place of scans
     bridging  true for the lines of an earlier map without its scans: a line fitted to both sides of a door covers it
+    hidden    (h, 2, 2) of its lines that no view shows, as in `PlanMap.hidden`
     """
 
     session: StoredSession
@@ -39,6 +40,7 @@ class Survey:
     points: Sequence[Floats]
     scanned: bool = True
     bridging: bool = False
+    hidden: Floats | None = None
 
 
 def survey_session(path: Path, session: StoredSession) -> Survey:

@@ -17,6 +17,8 @@ from drivers import se2
 from drivers.simulation.world import load_world
 from slam.geometry.segments import Floats
 from slam.io.sessions import StoredSession
+from slam.mapping.plan import Plan
+from slam.mapping.plan_map import build_plan_map
 from slam.measuring.wall_map import WallMap
 from slam.offline.map_diff import ChangeKind, MapDiff, Survey
 from slam.offline.map_diff.changes import benjamini_hochberg, find_changes, find_pairs
@@ -24,6 +26,7 @@ from slam.offline.map_diff.corners import corner_changes
 from slam.offline.map_diff.ends import find_ends
 from slam.offline.map_diff.movement import find_movements
 from slam.offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
+from slam.offline.map_diff.plan import survey_plan
 from slam.offline.map_diff.sight import SeenThrough
 
 from ..measuring.plans import around, moved, room, wall_map
@@ -173,6 +176,20 @@ def test_glass_that_both_drives_see_through_now_and_then_has_not_gone() -> None:
 def test_p_values_of_stretches_are_those_of_the_exact_test(through: int, seen: int, own: tuple[int, int]) -> None:
     expected = fisher_exact([[through, seen], list(own)], alternative="greater").pvalue
     assert SeenThrough(0, (0.0, 1.0), through, seen, own).p_value == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("hides", [True, False])
+def test_a_wall_that_a_plan_hides_has_not_moved_from_what_hides_it(random: np.random.Generator, hides: bool) -> None:
+    """The front of a cupboard, 27 cm before a wall, has gone; without the wall in the plan, the front has moved."""
+    front = [[(7.73, 0.0), (7.73, 3.0)]]
+    walls = [[HALL[k], HALL[(k + 1) % len(HALL)]] for k in range(len(HALL)) if hides or k != 1]
+    walls += [[BOX[k - 1], BOX[k]] for k in range(4)]
+    lines = np.array(walls + front)
+    drawn = Plan("hall", lines, np.ones(len(lines), dtype=bool), 1e-3, np.array(PATH)[:, :2])
+    plan = survey_plan(build_plan_map(drawn, (0.03, 0.005)))
+    found = find_changes(plan, hall(random, [BOX]), np.zeros(3), RATE)
+    moved = [change.shift for change in found.changes if change.kind is ChangeKind.MOVED]
+    assert moved == ([] if hides else [pytest.approx(-0.27, abs=0.02)])
 
 
 def test_false_discoveries_are_controlled(random: np.random.Generator) -> None:
