@@ -226,6 +226,11 @@ def test_outputs_name_the_changes(random: np.random.Generator, tmp_path: Path) -
     assert classes.count("new") == 1
     assert classes.count("same") == 6
     assert classes.count("scale") == 1
+    certain = replace(found, changes=[replace(change, p_value=1e-200) for change in found.changes])
+    assert "p < 1e-99" in diff_text(certain, corners)
+    write_diff_svg(tmp_path / "b.svg", certain, old.wall_map, new.wall_map)
+    titles = [title.text or "" for title in ElementTree.parse(tmp_path / "b.svg").getroot().iterfind("*/{*}title")]
+    assert sum(title.endswith("p < 1e-99") for title in titles) == 1
 
 
 def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> None:
