@@ -123,7 +123,8 @@ def _plan(summary: dict[str, Any]) -> list[tuple[str, str]]:
     if plan is None or not plan["recognised"]:
         return []  # a warning states it
     differences = plan["differences"]
-    rows = [("plan", f"{plan['same']} walls are as in {plan['file']}, {len(differences)} differences")]
+    number = f"{len(differences)} difference{'' if len(differences) == 1 else 's'}"
+    rows = [("plan", f"{plan['same']} walls are as in {plan['file']}, {number}")]
     rows += [("", line) for line in differences[:SHOWN_DIFFERENCES]]
     if (more := len(differences) - SHOWN_DIFFERENCES) > 0:
         rows.append(("", f"and {more} more differences in summary.json"))

@@ -60,13 +60,16 @@ class PlanView:
 class PlanMap:
     """Visible walls of a plan and views of them.
 
-    plan   from which it was made
-    walls  with the prior covariance of each at its frame, which is at its middle; `observations` are the views
-    views  in the order of a short tour
+    plan    from which it was made
+    walls   with the prior covariance of each at its frame, which is at its middle; `observations` are the views
+    hidden  (h, 2, 2) end points of the faces that no view shows, as those close behind other ones; they could be seen
+            from the left of the way from the first point to the second one
+    views   in the order of a short tour
     """
 
     plan: Plan
     walls: MapWalls
+    hidden: Floats
     views: Sequence[PlanView]
 
 
@@ -93,7 +96,9 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
         parts = [(number[wall], low, high) for wall, low, high in parts if wall in number]
         views.append(_view(ray.position, points, parts, frames[kept], covariance))
     walls = _walls(frames[kept], [covered[wall] for wall in kept], spans[kept], covariance, views)
-    return PlanMap(plan, walls, views)
+    rest = np.flatnonzero([not cells for cells in covered])
+    hidden = se2.transform(frames[rest][:, None], np.stack([spans[rest], np.zeros((len(rest), 2))], axis=-1))
+    return PlanMap(plan, walls, np.asarray(hidden).reshape(-1, 2, 2), views)
 
 
 def _merge_pieces(plan: Plan) -> tuple[Floats, Integers, Floats]:

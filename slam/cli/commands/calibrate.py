@@ -73,12 +73,14 @@ def _lines(result: Calibration) -> list[str]:
 
 
 def _timing_lines(timing: RecordingTiming) -> list[str]:
-    """Return the lidar's delay and the setting that compensates it, if it was found."""
+    """Return the lidar's delay, and the setting that compensates it or why none is needed, if a delay was found."""
     if timing.delay is None:
         return []
-    seconds, sigma = timing.delay.seconds, timing.delay.sigma
-    setting = [f"wclm run: --set lidar.delay={seconds:.4f}"] if timing.used_delay else []
-    return [f"delay     {seconds:.4f} ± {sigma:.4f} s of the lidar against odometry", *setting]
+    seconds, sigma, objection = timing.delay.seconds, timing.delay.sigma, timing.delay.objection
+    line = f"delay     {seconds:.4f} ± {sigma:.4f} s of the lidar against odometry"
+    if objection is not None:
+        return [f"{line}; not compensated: {objection}"]
+    return [line, f"wclm run: --set lidar.delay={seconds:.4f}"]
 
 
 def _options(result: Calibration, wheel_radius: float, track: float) -> str:

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -21,7 +21,13 @@ from ...io.output_dir import KEYFRAMES, PICTURE
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from ..output_files import make_directory
+from .demo_buildings import draw_office_changes, draw_office_plan, draw_second_half
 from .demo_drawings import draw_changes, draw_grid, draw_measurements
+
+if TYPE_CHECKING:
+    from drivers.messages import Source
+
+    from ...mapping.plan_map import PlanMap
 
 OFFICE = "sim:office"
 SCAN = 420
@@ -56,6 +62,8 @@ DRAWINGS: dict[str, dict[str, Callable[[Path, Path], None]]] = {
 CHANGES = "wean", "wean-2", "wean-3"
 """Directory and names of two recordings along the same corridor."""
 CHANGES_DRAWING = "wean-changes.svg"
+HALVES, HALVES_DRAWING = "csail", "csail-plan.svg"
+"""Recording of which the map of the first half is the plan for the second one."""
 PICTURE_DOTS_PER_INCH = 115
 """Resolution of the pictures; they are about 1300 pixels wide."""
 COLOURS, SHADES = 200, 256
@@ -142,6 +150,7 @@ def picture_sets(datasets: Path | None) -> list[PictureSet]:
 def all_picture_sets(datasets: Path) -> list[PictureSet]:
     """Return all picture sets, whether or not the directory `datasets` has the recordings that they need."""
     first, second = (datasets / CHANGES[0] / f"{name}.clf" for name in CHANGES[1:])
+    halved = datasets / HALVES / f"{HALVES}.clf"
     return [
         PictureSet(("inversion.png", "fit.png", "parameters.png", "corners.png"), _mathematics),
         PictureSet(("scan.png",), _scan),
@@ -150,7 +159,10 @@ def all_picture_sets(datasets: Path) -> list[PictureSet]:
         PictureSet(("corridors.png",), _corridors),
         *(_symptom(name, *symptom) for name, symptom in SYMPTOMS.items()),
         *(_recorded(name, datasets / name / f"{name}.clf") for name in RECORDINGS),
+        PictureSet(("changes.svg",), partial(draw_office_changes, _map)),
+        PictureSet(("plan.svg",), partial(draw_office_plan, _map)),
         PictureSet((CHANGES_DRAWING,), partial(_changes, (first, second)), needs=(first, second)),
+        PictureSet((HALVES_DRAWING,), partial(draw_second_half, _map, halved, HALVES_DRAWING), needs=(halved,)),
     ]
 
 
@@ -261,14 +273,15 @@ def _changes(recordings: tuple[Path, Path], directory: Path, scratch: Path) -> N
 
 
 def _map(
-    spec: str,
+    source: str | Source,
     out: Path,
     *,
     title: str | None = None,
     sinks: Sequence[Sink] = (),
     settings: Mapping[str, object] = MappingProxyType({}),
+    plan: PlanMap | None = None,
 ) -> EventRecorder:
-    """Map a recording or a simulation into `out` as `wclm run --plot` does; return its events."""
+    """Map a recording or a simulation, or what names one, into `out` as `wclm run --plot` does; return its events."""
     import drivers
 
     from ...config import Config
@@ -278,7 +291,9 @@ def _map(
     from ..slam_run import run_slam
 
     recorder = EventRecorder()
-    run_input = RecordingInput(drivers.open(spec), reopen=absolute_recording(spec))
+    opened = drivers.open(source) if isinstance(source, str) else source
+    run_input = RecordingInput(opened, reopen=absolute_recording(source if isinstance(source, str) else opened.name))
     run_input.name, run_input.sinks = title or run_input.name, [recorder, *sinks]
-    run_slam(run_input, RunSetup(Config.model_validate(settings)), out, overwrite=False, review=False, picture=True)
+    setup = RunSetup(Config.model_validate(settings), plan=plan)
+    run_slam(run_input, setup, out, overwrite=False, review=False, picture=True)
     return recorder

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..console import print_if_slow
+from ..console import print_if_slow, print_message
 from ..options import OverwriteOption, PlanLayerOption, PlanUnitOption, parse_pose
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ def diff(
     from ...offline.map_diff import compare
     from ...offline.map_diff.corners import corner_changes
     from ...offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
+    from ...offline.map_diff.surveys import shared_scans
     from ..plan_input import PlanOptions
 
     for path, suffix in ((svg, ".svg"), (geojson, ".geojson")):
@@ -76,6 +77,11 @@ def diff(
         if geojson is not None:
             write_diff_geojson(files.enter_context(unfinished_file(geojson, overwrite)), found, corners)
     typer.echo(diff_text(found, corners))
+    if shared := shared_scans(earlier, later):
+        print_message(
+            f"{shared} of the {len(later.session.scans)} scans of {new} are also in {old}: differences that rest on "
+            "them show the estimate, not the building; compare maps of separate drives"
+        )
     if found.different:
         raise typer.Exit(EXIT_DIFFERENT)
 

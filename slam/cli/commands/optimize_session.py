@@ -142,16 +142,26 @@ def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
     changed = summary["slam"]["refinement"]
     head, first, _, *others = format_summary(RunResult(summary, review), out)
     rows = [
-        ("before", f"cost {changed['cost_before']:.6g} of {changed['factors_before']} factors"),
+        ("before", f"{changed['factors_before']} factors, cost {changed['cost_before']:.6g}"),
+        ("after", f"{changed['factors_after']} factors, cost {changed['cost_after']:.6g}{_comparable(changed)}"),
         (
-            "after",
-            f"cost {changed['cost_after']:.6g} of {changed['factors_after']}, {changed['iterations']} iterations",
+            "changed",
+            f"{changed['associations_changed']} associations, {changed['walls_merged']} walls merged, "
+            f"in {changed['iterations']} iterations",
         ),
-        ("changed", f"{changed['associations_changed']} associations, {changed['walls_merged']} walls merged"),
         ("moved", _moved(changed)),
         ("time", f"{summary['optimisation_seconds']:.1f} s, {summary['peak_memory_mib']:.0f} MiB"),
     ]
     return [head, first, *(f"  {name:<11}{text}" for name, text in rows), *others]
+
+
+def _comparable(changed: dict[str, Any]) -> str:
+    """Return a remark on costs of different numbers of factors, as the end of a line of text."""
+    return (
+        ""
+        if changed["factors_before"] == changed["factors_after"]
+        else "; costs of different factors cannot be compared"
+    )
 
 
 def _moved(changed: dict[str, Any]) -> str:

@@ -127,6 +127,8 @@ def find_changes(
     unmoved  identities in the new map of walls that are known not to have moved, if any are known
     """
     pairs = find_pairs(old.wall_map.walls, new.wall_map.walls, guess)
+    if old.hidden is not None:
+        pairs = _without_hidden(pairs, old.wall_map.walls, new.wall_map.walls, guess, old.hidden)
     known = np.isin(new.wall_map.walls.identity[pairs[:, 1]], list(unmoved))
     enough = known.sum() >= MIN_UNMOVED
     movements = find_movements(old.wall_map, new.wall_map, pairs, guess, known if enough else None)
@@ -173,6 +175,27 @@ def find_pairs(old: MapWalls, new: MapWalls, motion: se2.Pose) -> Integers:
     far = far[_shared_lengths(old, new, far, motion) >= MIN_SHARED]
     fresh = ~np.isin(far[:, 0], near[:, 0]) & ~np.isin(far[:, 1], near[:, 1])
     return np.concatenate([near, far[fresh]])
+
+
+def _without_hidden(pairs: Integers, old: MapWalls, new: MapWalls, motion: se2.Pose, hidden: Floats) -> Integers:
+    """Return the pairs (n, 2) without those whose new wall is nearer to one that the plan hides than to the old one.
+
+    hidden  (h, 2, 2) lines of the plan that no view shows, because of what is in front of them
+
+    The wall was there, and that in front of it has gone: it has not moved there.
+    """
+    in_old, ends_of_old = se2.compose(motion, new.frame), old.end_points()
+    kept = []
+    for row, number in pairs.tolist():
+        ends = np.asarray(se2.transform(se2.inverse(in_old[number]), np.concatenate([ends_of_old[[row]], hidden])))
+        along = ends[:, 1] - ends[:, 0]
+        low = np.maximum(ends[..., 0].min(axis=1), new.low[number])
+        high = np.minimum(ends[..., 0].max(axis=1), new.high[number])
+        turn = np.arctan2(along[:, 1], along[:, 0])
+        offset = np.abs(ends[:, 0, 1] + (0.5 * (low + high) - ends[:, 0, 0]) * np.tan(turn))
+        same = (high - low > MIN_SHARED) & (np.abs(turn) < SAME_TURN) & (offset < SAME_SHIFT)
+        kept.append(not (same[1:] & (offset[1:] < offset[0])).any())
+    return pairs[kept]
 
 
 def _shared_lengths(old: MapWalls, new: MapWalls, pairs: Integers, motion: se2.Pose) -> Floats:

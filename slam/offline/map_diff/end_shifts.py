@@ -62,7 +62,8 @@ def find_end_shifts(old: Survey, new: Survey, movements: Movements) -> list[EndS
     squared = np.sort(differences[:, 0] ** 2 / differences[:, 1])
     typical = float(squared[(len(squared) - 1) // 2]) if len(squared) >= MIN_TYPICAL else 0.0
     differences[:, 1] *= max(typical / MEDIAN_CHI_SQUARE, 1.0)
-    return [_shift(*ends, maps, *row) for ends, row in zip(matched, differences.tolist(), strict=True)]
+    votes = zip(*maps.votes(matched), strict=True)
+    return [_shift(ends, maps, *row) for ends, *row in zip(matched, differences.tolist(), votes, strict=True)]
 
 
 class _TwoMaps:
@@ -100,6 +101,12 @@ class _TwoMaps:
         estimated = sum(end.scatter**2 / (end.scans - 1) for end in (before, after))
         return float(shifted(np.zeros(3))[0]), variance, variance**2 / max(estimated, np.finfo(float).tiny)
 
+    def votes(self, matched: Sequence[tuple[WallEnd, WallEnd]]) -> tuple[list[Votes], list[Votes]]:
+        """Return how the scans of both drives see the wall between both places of each pair of ends."""
+        in_old = [(one.wall, one.along, self.along_old(two, one.wall)) for one, two in matched]
+        in_new = [(two.wall, self.along_new(one, two.wall), two.along) for one, two in matched]
+        return _votes(self.old, np.array(in_old)), _votes(self.new, np.array(in_new))
+
     def _along_old(self, end: WallEnd, wall: int, motion: se2.Pose) -> float:
         return self.old.wall_map.along(wall, se2.transform(motion, self.new.wall_map.point(end.wall, end.along)))
 
@@ -122,27 +129,41 @@ def _match(before: Sequence[WallEnd], after: Sequence[WallEnd], maps: _TwoMaps) 
     return matched
 
 
-def _shift(before: WallEnd, after: WallEnd, maps: _TwoMaps, value: float, variance: float, freedom: float) -> EndShift:
-    """Return a pair of ends with the p-value of its shift."""
+def _shift(
+    ends: tuple[WallEnd, WallEnd], maps: _TwoMaps, difference: Sequence[float], votes: tuple[Votes, Votes]
+) -> EndShift:
+    """Return a pair of ends, before and after, with the p-value of its shift.
+
+    difference  of the ends, as from `_TwoMaps.difference`
+    votes       of the scans of the old and of the new map
+    """
     from scipy.special import stdtr  # only here: it loads slowly
 
+    (before, after), (value, variance, freedom) = ends, difference
     sigma, longer = math.sqrt(variance), value * before.side
-    there, begin = maps.along_old(after, before.wall), maps.along_new(before, after.wall)
-    votes_old = _votes(maps.old, before.wall, np.sort([before.along, there]))
-    votes_new = _votes(maps.new, after.wall, np.sort([begin, after.along]))
-    shorter, other = (votes_old, votes_new) if longer > 0.0 else (votes_new, votes_old)
+    shorter, other = votes if longer > 0.0 else votes[::-1]
     p_value = max(2.0 * float(stdtr(freedom, -abs(value) / sigma)), exact_p_value(shorter, other))
-    walls, span = (before.wall, after.wall), (before.along, there)
+    walls, span = (before.wall, after.wall), (before.along, maps.along_old(after, before.wall))
     return EndShift(walls, span, longer, sigma, p_value, shorter.through, shorter.seen)
 
 
-def _votes(survey: Survey, wall: int, span: Floats) -> Votes:
-    """Return how many scans of a survey see through a stretch of a wall's line, and how many see the wall there."""
-    through = seen = 0
+def _votes(survey: Survey, spans: Floats) -> list[Votes]:
+    """Return how many scans of a survey see through stretches of walls' lines, and how many see the walls there.
+
+    spans  (k, 3) row of the wall, and the ends of the stretch in metres along it, in either order
+    """
+    walls, wall = survey.wall_map.walls, spans[:, 0].astype(np.int64)
+    low, high = np.sort(spans[:, 1:], axis=1).T[..., None]
+    chosen = np.unique(wall)
+    votes = np.zeros((len(spans), 2), dtype=np.int64)
     for pose, points in zip(survey.poses, survey.points, strict=True):
-        scan = walls_of_scan(survey.wall_map.walls, pose, points, slice(wall, wall + 1))
-        inside = (scan.place > span[0]) & (scan.place < span[1])
-        crossed, hit = int((scan.steep & inside).sum()), int((scan.on & inside).sum())
-        through += crossed > hit
-        seen += 0 < hit >= crossed
-    return Votes(through, seen)
+        scan = walls_of_scan(walls, pose, points, chosen)
+        row_of = np.full(len(walls), -1)
+        row_of[scan.rows] = np.arange(len(scan.rows))
+        in_front = np.flatnonzero(row_of[wall] >= 0)
+        row = row_of[wall[in_front]]
+        inside = (scan.place[row] > low[in_front]) & (scan.place[row] < high[in_front])
+        crossed, hit = (scan.steep[row] & inside).sum(axis=1), (scan.on[row] & inside).sum(axis=1)
+        votes[in_front, 0] += crossed > hit
+        votes[in_front, 1] += (hit > 0) & (hit >= crossed)
+    return [Votes(*counts) for counts in votes.tolist()]

@@ -78,15 +78,16 @@ class WallsOfScan:
     steep: NDArray[np.bool_]
 
 
-def walls_of_scan(walls: MapWalls, pose: se2.Pose, points: Floats, chosen: slice = slice(None)) -> WallsOfScan:
+def walls_of_scan(walls: MapWalls, pose: se2.Pose, points: Floats, chosen: Integers | None = None) -> WallsOfScan:
     """Return what a scan with points (p, 2), in the frame of its pose in the map, shows of the walls it is in front of.
 
-    chosen  rows of the walls that are considered
+    chosen  rows of the walls that are considered; if None, all
 
     Beams count up to REACH beyond the observed extent of a wall.
     """
-    eye = se2.between(walls.frame[chosen], pose).reshape(-1, 3)
-    low, high = walls.low[chosen], walls.high[chosen]
+    number = np.arange(len(walls)) if chosen is None else chosen
+    eye = se2.between(walls.frame[number], pose).reshape(-1, 3)
+    low, high = walls.low[number], walls.high[number]
     beyond = np.maximum(np.maximum(low - eye[:, 0], eye[:, 0] - high), 0.0)
     reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0))
     rows = np.flatnonzero((eye[:, 1] >= MIN_DEPTH) & (np.hypot(beyond, eye[:, 1]) < reach))
@@ -99,8 +100,7 @@ def walls_of_scan(walls: MapWalls, pose: se2.Pose, points: Floats, chosen: slice
     place = eye[:, :1] + share * ahead
     near = (place > low[rows][:, None] - REACH) & (place < high[rows][:, None] + REACH)
     steep = through & near & (-rise >= MIN_CROSSING_SINE * np.hypot(ahead, rise))
-    number = np.arange(len(walls))[chosen][rows]
-    return WallsOfScan(number, eye[:, 0], across, place, on & near, through & near, steep)
+    return WallsOfScan(number[rows], eye[:, 0], across, place, on & near, through & near, steep)
 
 
 def find_ends(survey: Survey, chosen: Integers) -> list[WallEnd]:

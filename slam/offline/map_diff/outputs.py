@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -204,4 +205,4 @@ def _differences(diff: MapDiff, new: WallMap) -> Iterator[str]:
 
 def _path(name: str, ends: Floats, title: str) -> str:
     (x0, y0), (x1, y1) = ends.tolist()
-    return f'<path class="{name}" d="M{x0:z.3f},{-y0:z.3f}L{x1:z.3f},{-y1:z.3f}"><title>{title}</title></path>'
+    return f'<path class="{name}" d="M{x0:z.3f},{-y0:z.3f}L{x1:z.3f},{-y1:z.3f}"><title>{escape(title)}</title></path>'

@@ -36,7 +36,10 @@ def survey_plan(plan_map: PlanMap) -> Survey:
     points = [np.ascontiguousarray(view.points) for view in plan_map.views]
     wall_map = WallMap(walls, NO_CORNERS, joint, poses[:, :2])
     bridging = bool(plan_map.plan.one_sided.all())
-    return Survey(plan_session(plan_map, Config()), wall_map, poses, points, scanned=False, bridging=bridging)
+    # of a wall that is drawn as two lines, the inner sides are hidden, but no walls
+    hidden = plan_map.hidden if bridging else None
+    session = plan_session(plan_map, Config())
+    return Survey(session, wall_map, poses, points, scanned=False, bridging=bridging, hidden=hidden)
 
 
 def compare_with_plan(plan: Survey, state: SlamState, session: StoredSession) -> tuple[MapDiff, WallMap]:

@@ -31,6 +31,7 @@ class Survey:
     points    of each of these scans, (p, 2) in its frame
     scanned   false for a plan: views of its lines take the place of scans
     bridging  true for the lines of an earlier map without its scans: a line fitted to both sides of a door covers it
+    hidden    (h, 2, 2) of its lines that no view shows, as in `PlanMap.hidden`
     """
 
     session: StoredSession
@@ -39,6 +40,7 @@ class Survey:
     points: Sequence[Floats]
     scanned: bool = True
     bridging: bool = False
+    hidden: Floats | None = None
 
 
 def survey_session(path: Path, session: StoredSession) -> Survey:
@@ -74,3 +76,12 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     if len(pairs) < MIN_COMMON:
         raise MapError(f"the maps cannot be aligned: they have only {len(pairs)} walls in common")
     return motion
+
+
+def shared_scans(old: Survey, new: Survey) -> int:
+    """Return how many scans both sessions contain, as if one was made from the other or from the same recording."""
+    points = {scan.stamp: scan.features.points.xy for scan in old.session.scans}
+    return sum(
+        scan.stamp in points and np.array_equal(points[scan.stamp], scan.features.points.xy)
+        for scan in new.session.scans
+    )

@@ -337,3 +337,12 @@ def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_viewer_that_cannot_be_started_is_a_one_line_message(capsys: pytest.CaptureFixture[str]) -> None:
     viewer.open_viewer(["/nowhere/rerun"])
     assert capsys.readouterr().err.startswith("wclm: the viewer cannot be started: ")
+
+
+def test_calibrate_states_why_a_delay_is_not_compensated(wclm: Any, tmp_path: Path) -> None:
+    simulated = wclm("simulate", "office", "drive.mcap", "--duration", "25")
+    assert simulated.exit_code == 0, simulated.output
+    result = wclm("calibrate", "drive.mcap")
+    assert result.exit_code == 0, result.output
+    assert "s of the lidar against odometry; not compensated: not significant" in result.stdout
+    assert "lidar.delay" not in result.stdout

@@ -17,6 +17,8 @@ from drivers import se2
 from drivers.simulation.world import load_world
 from slam.geometry.segments import Floats
 from slam.io.sessions import StoredSession
+from slam.mapping.plan import Plan
+from slam.mapping.plan_map import build_plan_map
 from slam.measuring.wall_map import WallMap
 from slam.offline.map_diff import ChangeKind, MapDiff, Survey
 from slam.offline.map_diff.changes import benjamini_hochberg, find_changes, find_pairs
@@ -24,6 +26,7 @@ from slam.offline.map_diff.corners import corner_changes
 from slam.offline.map_diff.ends import find_ends
 from slam.offline.map_diff.movement import find_movements
 from slam.offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
+from slam.offline.map_diff.plan import survey_plan
 from slam.offline.map_diff.sight import SeenThrough
 
 from ..measuring.plans import around, moved, room, wall_map
@@ -175,6 +178,20 @@ def test_p_values_of_stretches_are_those_of_the_exact_test(through: int, seen: i
     assert SeenThrough(0, (0.0, 1.0), through, seen, own).p_value == pytest.approx(expected, rel=1e-12)
 
 
+@pytest.mark.parametrize("hides", [True, False])
+def test_a_wall_that_a_plan_hides_has_not_moved_from_what_hides_it(random: np.random.Generator, hides: bool) -> None:
+    """The front of a cupboard, 27 cm before a wall, has gone; without the wall in the plan, the front has moved."""
+    front = [[(7.73, 0.0), (7.73, 3.0)]]
+    walls = [[HALL[k], HALL[(k + 1) % len(HALL)]] for k in range(len(HALL)) if hides or k != 1]
+    walls += [[BOX[k - 1], BOX[k]] for k in range(4)]
+    lines = np.array(walls + front)
+    drawn = Plan("hall", lines, np.ones(len(lines), dtype=bool), 1e-3, np.array(PATH)[:, :2])
+    plan = survey_plan(build_plan_map(drawn, (0.03, 0.005)))
+    found = find_changes(plan, hall(random, [BOX]), np.zeros(3), RATE)
+    moved = [change.shift for change in found.changes if change.kind is ChangeKind.MOVED]
+    assert moved == ([] if hides else [pytest.approx(-0.27, abs=0.02)])
+
+
 def test_false_discoveries_are_controlled(random: np.random.Generator) -> None:
     """Of 200 tests 20 are of true changes; the mean share of false ones among the discoveries is at most the rate."""
     shares = []
@@ -209,6 +226,11 @@ def test_outputs_name_the_changes(random: np.random.Generator, tmp_path: Path) -
     assert classes.count("new") == 1
     assert classes.count("same") == 6
     assert classes.count("scale") == 1
+    certain = replace(found, changes=[replace(change, p_value=1e-200) for change in found.changes])
+    assert "p < 1e-99" in diff_text(certain, corners)
+    write_diff_svg(tmp_path / "b.svg", certain, old.wall_map, new.wall_map)
+    titles = [title.text or "" for title in ElementTree.parse(tmp_path / "b.svg").getroot().iterfind("*/{*}title")]
+    assert sum(title.endswith("p < 1e-99") for title in titles) == 1
 
 
 def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> None:
@@ -217,6 +239,10 @@ def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> 
     wclm.refuses("diff", "room", "room", because=["room, room: the maps cannot be aligned"])
     same = wclm("diff", "room", "room", "--at", "0.1,0,0")
     assert same.exit_code == 0, same.output
+    assert "of the 59 scans of room are also in room" in same.stderr
+    other = wclm("run", "sim:room?duration=6&seed=1", "--out", "other", "--no-review")
+    assert other.exit_code == 0, other.output
+    assert "scans" not in wclm("diff", "room", "other", "--at", "0,0,0").stderr
     assert wclm("diff", "room", "room", "--at", "0.1,0").exit_code == 2
     wclm.refuses("diff", "room", "nowhere", because=["nowhere: is not a directory"])
     wclm.refuses("diff", "room", "room", "--svg", "a.png", because=["a.png", ".svg"])
