@@ -30,10 +30,11 @@ from slam.evaluation.benchmarks.lookalike import (
 from slam.evaluation.benchmarks.loop_scoring import ScoredDecision
 from slam.evaluation.rates import upper_limit
 from slam.geometry.segments import Segments
-from slam.loop_closure.agreement import LoopAgreement
+from slam.loop_closure import agreement
 from slam.loop_closure.look import Look
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.submap_search import Submap, SubmapMatch, are_distinct, build_submap, improve
+from slam.loop_closure.votes import Search, Vote, find_votes
 from slam.matching.point_matcher import POINT_SPACING, SEARCH_FIT
 from slam.matching.scan_points import surface_points
 
@@ -110,14 +111,14 @@ def test_needed_loop_is_closed_at_the_right_place(monkeypatch: pytest.MonkeyPatc
 def test_no_wrong_closure_is_accepted_between_similar_places(
     world: str, seed: int, seconds: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    search, convincing = LoopAgreement._search, []
+    convincing = []
 
-    def counting(self: LoopAgreement, look: Look, places: Sequence[int]) -> list[Any]:
-        found = search(self, look, places)
+    def counting(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
+        found = find_votes(look, places, search)
         convincing.append(sum(vote.match.fit > SEARCH_FIT for vote in found))
         return found
 
-    monkeypatch.setattr(LoopAgreement, "_search", counting)
+    monkeypatch.setattr(agreement, "find_votes", counting)
     limit_drives(monkeypatch, seconds)
     result = run_world(world, seed)
     assert max(convincing, default=0) >= 2, "no look found two places, of which one must be wrong: it proves nothing"
