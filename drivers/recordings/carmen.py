@@ -30,6 +30,7 @@ from .carmen_lines import (
     written_stamps,
 )
 from .decompression import MAX_RATIO, allowed_size
+from .gmapping_logs import WheelOdometry, remove_estimates
 from .microseconds import restore_microseconds
 from .no_returns import find_no_return
 from .range_units import FAR, ScanInUnits, find_range_unit
@@ -97,6 +98,9 @@ class CarmenReader(RecordingReader):
             raise RecordingError(self.path, None, damage or "is empty")
         lines = content.split(b"\n")
         del content  # the lines are kept while they are read
+        wheels, corrected = WheelOdometry(), remove_estimates(lines)
+        if corrected:
+            self.interpret("written by GMapping, with its estimates in the odometry; the wheels' odometry is restored")
         lasers = {kind: self._calibrate(kind, lines) for kind in LASERS}
         odometry = _OdometryFilter()
         stamps = self._restored_stamps(lines)
@@ -105,6 +109,8 @@ class CarmenReader(RecordingReader):
             try:
                 if kind == b"ODOM":
                     values = parse_odometry(line)
+                    if corrected:
+                        values = (values[0], *wheels.restore(np.array(values[1:])).tolist())
                     if number in stamps:
                         values = (stamps[number], *values[1:])
                     if odometry.is_new(values, from_scan=False):
@@ -112,6 +118,8 @@ class CarmenReader(RecordingReader):
                 elif kind in lasers:
                     parsed = _in_metres(parse_laser(kind, line), lasers[kind].per_metre)
                     parsed.stamp = stamps.get(number, parsed.stamp)
+                    if number in corrected:
+                        parsed.poses[3:] = wheels.go_on_from(parsed.poses[3:].copy())
                     values = (parsed.stamp, *parsed.poses[3:].tolist())
                     if odometry.is_new(values, from_scan=True):
                         yield number, Odometry(parsed.stamp, parsed.poses[3:].copy())

@@ -1,0 +1,75 @@
+"""Logs that GMapping has written: the wheels' odometry is restored from them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import drivers
+from drivers import se2
+from drivers.messages import Odometry, Scan
+from drivers.recordings.gmapping_logs import remove_estimates
+
+STEP = np.array([0.05, 0.0, 0.03])  # metres and radians between two ODOM lines
+ERROR = np.array([0.02, -0.01, 0.04])  # of the motion from scan to scan, which GMapping corrects
+BETWEEN_SCANS = 10  # ODOM lines
+
+
+def drive(*, scans: int) -> list[np.ndarray]:
+    """Return the wheels' odometry (3,) for each line."""
+    poses = [np.array([0.3, -0.2, 0.1])]
+    for _ in range(scans * BETWEEN_SCANS - 1):
+        poses.append(se2.compose(poses[-1], STEP))
+    return poses
+
+
+def text(pose: np.ndarray) -> str:
+    return " ".join(f"{value:.9f}" for value in pose)
+
+
+def gmapping_log(odometry: list[np.ndarray], stamp: str) -> list[str]:
+    """Return the log that GMapping writes if each of its estimates corrects ERROR; `stamp`: of the estimates."""
+    lines, estimate, at_estimate = [], odometry[0], odometry[0]
+    for k, pose in enumerate(odometry):
+        time = f"{0.1 * k:.3f}"
+        lines.append(f"ODOM {text(se2.compose(estimate, se2.between(at_estimate, pose)))} 0 0 0 {time} host {time}")
+        if k % BETWEEN_SCANS == BETWEEN_SCANS - 1:
+            estimate = se2.compose(se2.compose(estimate, se2.between(at_estimate, pose)), ERROR)
+            at_estimate = pose
+            shown = text(estimate)
+            lines += [
+                f"FLASER 3 1.0 1.1 1.2 {shown} {shown} {time} host {time}",
+                f"ODOM {shown} 0 0 0 {stamp} host {stamp}",
+                "NEFF 30",
+            ]
+    return lines
+
+
+def test_odometry_of_the_wheels_is_restored(tmp_path: Path) -> None:
+    odometry = drive(scans=5)
+    for stamp in ("0", "4.85e-86", "1e300", "nan"):  # GMapping does not set it
+        log = tmp_path / "corrected.log"
+        log.write_text("\n".join(gmapping_log(odometry, stamp)) + "\n")
+        source = drivers.open(log)
+        messages = list(source)
+        read = [message for message in messages if isinstance(message, Odometry)]
+        np.testing.assert_allclose([message.pose for message in read], odometry, atol=1e-7)
+        np.testing.assert_allclose([message.stamp for message in read], 0.1 * np.arange(len(odometry)), atol=1e-9)
+        assert sum(isinstance(message, Scan) for message in messages) == 5
+        assert not source.report.skipped
+        assert any("written by GMapping" in text for text in source.report.interpretations)
+
+
+def test_other_logs_are_read_as_they_are() -> None:
+    """A scan has the pose of the odometry before it, and of that after it while the robot stands still."""
+    lines = []
+    for k, pose in enumerate(drive(scans=3)):
+        shown, moved = text(pose), text(se2.compose(pose, STEP))
+        after = moved if k % 5 == 0 else shown
+        lines += [f"ODOM {shown} 0 0 0 {k} host {k}", f"FLASER 2 1.0 1.1 {shown} {shown} {k} host {k}"]
+        lines += [f"ODOM {after} 0 0 0 {k + 0.5} host {k + 0.5}"]
+    encoded = [line.encode() for line in lines]
+    kept = list(encoded)
+    assert remove_estimates(kept) == set()
+    assert kept == encoded
