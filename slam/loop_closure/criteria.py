@@ -46,16 +46,18 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
     """Check that enough looks support a hypothesis, and that the estimate's uncertainty admits it.
 
     A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
-    must extend over this distance.
+    must extend over this distance. If the robot may be off by a multiple of the estimate's standard deviations, they
+    must extend over the square of it as many metres: minus the logarithm of the probability rises likewise.
 
     look      the last one
     against   number of looks that contradict the hypothesis
     corrects  true if it would correct the estimate; false if it is that the estimate is right
     """
-    count, old = len(hypothesis.support), hypothesis.support[-1].old
+    count, old, scale = len(hypothesis.support), hypothesis.support[-1].old, look.deviation_scale
+    span = scale**2 * max(SUBMAP_LENGTH, look.search_radius(old) / scale)
     checks = [
         Check("support", count, MIN_SUPPORT, at_least=True),
-        Check("span", hypothesis.span, max(SUBMAP_LENGTH, look.search_radius(old)), at_least=True),
+        Check("span", hypothesis.span, span, at_least=True),
         Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
     ]
     if corrects:

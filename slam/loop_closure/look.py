@@ -93,7 +93,8 @@ class Look:
         keyframe: int | None = None,
         deviation_scale: float = 1.0,
     ) -> None:
-        self._mapper, self._field, self._submaps, self._scale = mapper, local_field, submaps, deviation_scale
+        self._mapper, self._field, self._submaps = mapper, local_field, submaps
+        self.deviation_scale = deviation_scale
         self._travelled = np.asarray(mapper.travelled)
         self._ways = local_field.ways(mapper.travelled)
         self._covariances: dict[int, Floats] = {}
@@ -150,9 +151,9 @@ class Look:
         """Find the covariances of the last keyframe's pose relative to some old ones."""
         covariances, unknown = self._mapper.covariances, list[int]()
         for old in places:
-            bound = self._scale**2 * covariances.relative_bound(old, self.last, stored=True)
+            bound = self.deviation_scale**2 * covariances.relative_bound(old, self.last, stored=True)
             if not _is_minor(bound) and len(places) < MIN_TOGETHER:
-                bound = self._scale**2 * covariances.relative_bound(old, self.last, stored=False)
+                bound = self.deviation_scale**2 * covariances.relative_bound(old, self.last, stored=False)
             if _is_minor(bound):
                 self._covariances[old] = bound + np.diag(UNMODELLED_SIGMAS**2)
             else:
@@ -161,7 +162,7 @@ class Look:
         found = covariances.relative_to_all(unknown, self.last) if together else ()
         for row, old in enumerate(unknown):
             estimated = found[row] if together else covariances.relative(old, self.last)
-            self._covariances[old] = self._scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
+            self._covariances[old] = self.deviation_scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
 
     def is_certain(self, old: int) -> bool:
         """True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
@@ -173,7 +174,7 @@ class Look:
         Places closer together than REFERENCE_DISTANCE are represented by the oldest of them.
         """
         poses, spread = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
-        deviations = self._scale * (spread[self._old] + self._spread(spread))
+        deviations = self.deviation_scale * (spread[self._old] + self._spread(spread))
         bound = SEARCH_DEVIATIONS * (deviations + UNMODELLED_SIGMAS[0])
         chosen = list[int]()
         for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
@@ -240,7 +241,7 @@ class Look:
         """True if the motion from one match to another over the old map agrees with the estimate."""
         poses = self._mapper.keyframe_poses
         over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
-        covariance = self._scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
+        covariance = self.deviation_scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
         covariance += np.diag(UNMODELLED_SIGMAS**2) + covariance_after(match.covariance, over_old) + other.covariance
         estimated = se2.between(poses[match.keyframe], poses[other.keyframe])
         return _squared(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
