@@ -70,15 +70,6 @@ def dimension_lines(measurements: Iterable[Measurement]) -> list[DimensionLine]:
     return lines
 
 
-def area_texts(measurements: Iterable[Measurement]) -> list[tuple[Floats, str]]:
-    """Return place (2,) and text of each room's area."""
-    return [
-        (one.ends[0], f"room {one.room}: {one.value:.2f} ± {max(one.sigma, 0.01):.2f} m²")
-        for one in measurements
-        if one.kind is Kind.AREA
-    ]
-
-
 def opening_text(opening: Opening) -> tuple[Floats, str, float]:
     """Return place (2,), text and direction (radians, not upside down) of the name and width of a door or passage."""
     line = DimensionLine(opening.ends, opening.ends, f"{opening.name}: {opening.width:.1f} m", opening.name)

@@ -19,9 +19,9 @@ from ...extras import require_extra
 from ...geometry.segments import Floats
 from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ..run_results import RunResults
-from .dimension_lines import AREA_TEXT_HEIGHT, TEXT_GAP, TEXT_HEIGHT, DimensionLine, area_texts, opening_text
+from .dimension_lines import AREA_TEXT_HEIGHT, TEXT_GAP, TEXT_HEIGHT, DimensionLine, opening_text
 from .path_thinning import thin_path
-from .text_placement import placed_dimensions
+from .text_placement import placed_areas, placed_dimensions
 
 if TYPE_CHECKING:
     from ezdxf.document import Drawing
@@ -118,7 +118,7 @@ def _add_rooms(space: Modelspace, measured: MeasuredMap) -> None:
     for room in measured.rooms:
         for part in (room.outline, *room.islands):
             space.add_lwpolyline([_point(p) for p in part.vertices], close=True, dxfattribs={"layer": "ROOMS"})
-    for place, text in area_texts(measured.measurements):
+    for place, text in placed_areas(measured):
         _add_text(space, "ROOMS", place, text, AREA_TEXT_HEIGHT)
 
 

@@ -13,10 +13,10 @@ from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ...measuring.openings import Opening
 from ...measuring.rooms import Room
 from ..run_results import RunResults
-from .dimension_lines import AREA_TEXT_HEIGHT, TEXT_GAP, TEXT_HEIGHT, area_texts, opening_text
+from .dimension_lines import AREA_TEXT_HEIGHT, TEXT_GAP, TEXT_HEIGHT, opening_text
 from .scale_bar import SCALE_BAR_STYLE, draw_scale_bar
 from .svg_drawing import PATH_CLASSES, UNKNOWN_CLASS, draw_map
-from .text_placement import placed_dimensions
+from .text_placement import placed_areas, placed_dimensions
 
 SCALE, MEASURED_SCALE = 100, 50
 """Scales 1 : n of drawings without and with measurements."""
@@ -110,7 +110,7 @@ def _dimensions(measured: MeasuredMap) -> Iterator[str]:
         extensions = f"M{u0:.3f},{v0:.3f}L{x0:.3f},{y0:.3f}M{u1:.3f},{v1:.3f}L{x1:.3f},{y1:.3f}"
         yield f'<path d="M{x0:.3f},{y0:.3f}L{x1:.3f},{y1:.3f}{ticks}{extensions}"><title>{one.identity}</title></path>'
         yield _text(x, -y, one.text, TEXT_HEIGHT, -float(np.degrees(one.angle)))
-    for (x, y), text in area_texts(measured.measurements):
+    for (x, y), text in placed_areas(measured):
         yield _text(x, -y, text, AREA_TEXT_HEIGHT)
     yield "</g>"
 

@@ -1,4 +1,4 @@
-"""Place the texts of dimension lines so that none covers another.
+"""Place the texts of rooms and dimension lines so that none covers another.
 
 A text is a box: an array (5,) [x, y, direction, half length, half height], in metres and radians. A line is a box
 without height.
@@ -6,19 +6,21 @@ without height.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ...geometry.segments import Floats
 from ...measuring.measured_map import MeasuredMap
+from ...measuring.measurement import Kind
+from ...measuring.rooms import Room
 from .dimension_lines import (
     AREA_TEXT_HEIGHT,
     CHARACTER_WIDTH,
     TEXT_GAP,
     TEXT_HEIGHT,
     DimensionLine,
-    area_texts,
     dimension_lines,
     opening_text,
 )
@@ -29,9 +31,48 @@ STEPS = 4
 
 def placed_dimensions(measured: MeasuredMap) -> list[tuple[DimensionLine, Floats]]:
     """Return the dimension lines of a map as `place_texts` does, beside the texts of rooms and openings."""
-    areas = [text_box(place, text, 0.0, AREA_TEXT_HEIGHT) for place, text in area_texts(measured.measurements)]
-    openings = [text_box(*opening_text(opening)) for opening in measured.openings]
-    return place_texts(dimension_lines(measured.measurements), np.array([*areas, *openings]).reshape(-1, 5))
+    areas = [text_box(place, text, 0.0, AREA_TEXT_HEIGHT) for place, text in placed_areas(measured)]
+    return place_texts(
+        dimension_lines(measured.measurements), np.array([*areas, *_opening_boxes(measured)]).reshape(-1, 5)
+    )
+
+
+def placed_areas(measured: MeasuredMap) -> list[tuple[Floats, str]]:
+    """Return place (2,) and text of the area of each room.
+
+    A text is inside its room if it fits there, covers no text of an opening, and crosses as few dimension lines as
+    possible; of such places the nearest to the middle of the room is chosen.
+    """
+    openings = np.array(_opening_boxes(measured)).reshape(-1, 5)
+    strokes = np.array([_line_box(line) for line in dimension_lines(measured.measurements)]).reshape(-1, 5)
+    placed = []
+    for one in measured.measurements:
+        if one.kind is Kind.AREA and one.room is not None:
+            text = f"room {one.room}: {one.value:.2f} ± {max(one.sigma, 0.01):.2f} m²"
+            box = text_box(one.ends[0], text, 0.0, AREA_TEXT_HEIGHT)
+            placed.append((_below(_best_in_room(box, measured.rooms[one.room - 1], openings, strokes)), text))
+    return placed
+
+
+def _best_in_room(box: Floats, room: Room, openings: Floats, strokes: Floats) -> Floats:
+    """Return the box of the text of a room, which has the middle of the room, moved to the best place."""
+    vertices, step = room.outline.vertices, 2.0 * AREA_TEXT_HEIGHT
+    low, high = np.floor((vertices.min(axis=0) - box[:2]) / step), np.ceil((vertices.max(axis=0) - box[:2]) / step)
+    shifts = step * np.stack(np.meshgrid(*map(np.arange, low, high)), axis=-1).reshape(-1, 2)
+    shifts = shifts[np.argsort(np.hypot(*shifts.T), kind="stable")]
+    share = np.linspace(-1.0, 1.0, 1 + math.ceil(2.0 * box[3] / step))
+    edges = box[3:] * np.concatenate([[[x, y] for x in share] for y in (-1.0, 1.0)])
+    outside = ~room.contains((box[:2] + shifts[:, None] + edges).reshape(-1, 2)).reshape(len(shifts), -1)
+    costs = []
+    for shift, parts in zip(shifts, outside, strict=True):
+        moved = np.append(box[:2] + shift, box[2:])
+        costs.append((int(parts.sum()), int(overlaps(moved, openings).sum()), int(overlaps(moved, strokes).sum())))
+    best = min(range(len(shifts)), key=costs.__getitem__)  # the first one is nearest the middle
+    return np.append(box[:2] + shifts[best], box[2:])
+
+
+def _opening_boxes(measured: MeasuredMap) -> list[Floats]:
+    return [text_box(*opening_text(opening)) for opening in measured.openings]
 
 
 def place_texts(lines: Sequence[DimensionLine], others: Floats) -> list[tuple[DimensionLine, Floats]]:

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from slam.geometry.segments import Floats
-from slam.io.exports.dimension_lines import DimensionLine
-from slam.io.exports.text_placement import overlaps, place_texts, text_box
+from slam.io.exports.dimension_lines import AREA_TEXT_HEIGHT, DimensionLine, dimension_lines
+from slam.io.exports.text_placement import overlaps, place_texts, placed_areas, text_box
+from slam.measuring.measured_map import measure_all
+
+from ..measuring.plans import around, room, wall_map
 
 NOTHING = np.zeros((0, 5))
+PILLAR = [(2.0, 1.5), (2.0, 2.5), (3.0, 2.5), (3.0, 1.5)]
+PILLAR_BOX = [2.5, 2.0, 0.0, 0.5, 0.5]
 
 
 def line(start: tuple[float, float], end: tuple[float, float], text: str = "5.000 ± 0.001") -> DimensionLine:
@@ -74,3 +79,23 @@ def test_a_line_without_room_for_its_text_is_left_out() -> None:
     given = text_box(np.array([0.75, 1.0]), "door 1: 1.0 m", 0.0)
     assert [one for one, _ in place_texts([wide, narrow], given[None])] == [wide]
     assert [one for one, _ in place_texts([wide, narrow], NOTHING)] == [wide, narrow]
+
+
+def test_the_text_of_a_room_is_inside_it_and_crosses_fewer_lines_than_elsewhere() -> None:
+    walls = [*room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]), *room(PILLAR)]
+    measured = measure_all(wall_map(walls, [*around(4), *around(4, 4)], path=[(1.0, 1.0), (1.0, 2.0)]))
+    ((place, text),) = placed_areas(measured)
+    lines = dimension_lines(measured.measurements)
+    strokes = np.array([[*one.middle, one.angle, 0.5 * np.hypot(*(one.line[1] - one.line[0])), 0.0] for one in lines])
+
+    def is_inside(box: Floats) -> bool:
+        corners = box[:2] + box[3:] * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+        return bool(measured.rooms[0].contains(corners).all()) and not overlaps(box, np.array([PILLAR_BOX])).any()
+
+    box = text_box(place, text, 0.0, AREA_TEXT_HEIGHT)
+    assert is_inside(box)
+    assert not is_inside(text_box(np.array([2.5, 1.9]), text, 0.0, AREA_TEXT_HEIGHT))
+    others = [text_box(np.array([x, y]), text, 0.0, AREA_TEXT_HEIGHT) for x in (2.0, 2.5, 3.0) for y in (0.3, 0.9, 3.0)]
+    crossed = [int(overlaps(other, strokes).sum()) for other in others if is_inside(other)]
+    assert len(crossed) > 3
+    assert overlaps(box, strokes).sum() <= min(crossed)
