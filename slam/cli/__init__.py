@@ -23,7 +23,7 @@ COLLECTION_THRESHOLD = 50_000
 def main() -> None:
     """Run the command line. SIGTERM and SIGHUP end a command with the same cleanup as Ctrl-C."""
     gc.set_threshold(COLLECTION_THRESHOLD)
-    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # reuses what a run has freed; Arrow's adds 20 MB
+    os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # reuses what a run has freed
     if error := find_import_error():
         print_message(error)
         sys.exit(EXIT_USER_ERROR)
