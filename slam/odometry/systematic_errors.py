@@ -147,10 +147,8 @@ def _systematic_errors(samples):  # type: ignore[no-untyped-def]
     of_turn, x, y, turning = np.empty(count), np.empty(count), np.empty(count), 0
     for k in range(count):
         turn, actual = samples[k, 2], samples[k, 5]
-        # Selected and divided by the registered turn: the measured one may be noise, as of wheels that slip on a
-        # straight, and would make the factor too small.
-        if abs(actual) > MAX_STRAIGHT_TURN:
-            of_turn[turning] = wrap_angle(turn + means[2] * samples[k, 0]) / actual - 1.0
+        if abs(turn) > MAX_STRAIGHT_TURN:
+            of_turn[turning] = wrap_angle(actual - means[2] * samples[k, 0]) / turn - 1.0
             half, scale = 0.5 * actual, (1.0 + means[0])
             c, s = math.cos(half), math.sin(half)
             ahead, left = c * samples[k, 3] + s * samples[k, 4], c * samples[k, 4] - s * samples[k, 3]
@@ -158,11 +156,10 @@ def _systematic_errors(samples):  # type: ignore[no-untyped-def]
             c, s = math.cos(bend), math.sin(bend)
             ahead -= scale * (c * samples[k, 0] - s * samples[k, 1])
             left -= scale * (c * samples[k, 1] + s * samples[k, 0])
-            change = 2.0 * math.sin(0.5 * actual)
+            change = 2.0 * math.sin(0.5 * turn)  # by the measured turn: that of registration may be zero
             x[turning], y[turning] = -left / change, ahead / change
             turning += 1
-    inverse, variances[1] = _posterior(of_turn[:turning], SYSTEMATIC_SIGMAS[1])
-    means[1] = 1.0 / max(1.0 + inverse, 1.0 / MAX_TURN_FACTOR) - 1.0
+    means[1], variances[1] = _posterior(of_turn[:turning], SYSTEMATIC_SIGMAS[1])
     means[3], variances[3] = _posterior(x[:turning], SYSTEMATIC_SIGMAS[3])
     means[4], variances[4] = _posterior(y[:turning], SYSTEMATIC_SIGMAS[4])
     return means, variances

@@ -41,7 +41,8 @@ def placed_areas(measured: MeasuredMap) -> list[tuple[Floats, str]]:
     """Return place (2,) and text of the area of each room.
 
     A text is inside its room if it fits there, covers no text of an opening, and crosses as few dimension lines as
-    possible; of such places the nearest to the middle of the room is chosen.
+    possible; of such places the nearest to the middle of the room is chosen. It is in the middle if the map has
+    measurements of rooms only, but no rooms.
     """
     openings = np.array(_opening_boxes(measured)).reshape(-1, 5)
     strokes = np.array([_line_box(line) for line in dimension_lines(measured.measurements)]).reshape(-1, 5)
@@ -50,7 +51,9 @@ def placed_areas(measured: MeasuredMap) -> list[tuple[Floats, str]]:
         if one.kind is Kind.AREA and one.room is not None:
             text = f"room {one.room}: {one.value:.2f} ± {max(one.sigma, 0.01):.2f} m²"
             box = text_box(one.ends[0], text, 0.0, AREA_TEXT_HEIGHT)
-            placed.append((_below(_best_in_room(box, measured.rooms[one.room - 1], openings, strokes)), text))
+            if measured.rooms:
+                box = _best_in_room(box, measured.rooms[one.room - 1], openings, strokes)
+            placed.append((_below(box), text))
     return placed
 
 
