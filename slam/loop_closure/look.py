@@ -38,7 +38,7 @@ SEARCH_DEVIATIONS = 3.0
 # Metres, metres, radians: errors of the estimate that its covariance does not contain, such as slips that were not
 # recognised. Origin: chosen; not measured.
 UNMODELLED_SIGMAS = np.array([0.3, 0.3, 0.05])
-# Covariances from which on it takes less time to factorise the graph anew than to ask iSAM2 for one after the other.
+# Covariances from which on it takes less time to factorise the graph anew than to compute each one with iSAM2.
 # Origin: measured, between 4 and 19 in a drive of 900 m.
 MIN_TOGETHER = 8
 
