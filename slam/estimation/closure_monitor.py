@@ -17,7 +17,7 @@ from .slam_state import SlamState
 
 # Metres of driving for which a closure is monitored. Origin: chosen, as REFERENCE_DISTANCE; not measured.
 MONITORED_DISTANCE = 15.0
-# Metres of driving between two checks. Origin: chosen, as the interval of the loop search; not measured.
+# Metres of driving between two checks. Origin: chosen, a tenth of MONITORED_DISTANCE; not measured.
 CHECK_INTERVAL = 1.5
 # Share of the wall length observed since the closure that older walls would have hidden, beyond the share without the
 # closure. Origin: measured, on data that are not recorded: doors open and furniture moves, so correct closures
