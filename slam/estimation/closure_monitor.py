@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..formatting import percent
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
@@ -110,4 +111,4 @@ def _reason_to_retract(closure: MonitoredClosure, mapper: Mapper) -> str:
     closure.contradictions = closure.contradictions + 1 if contradicts else 0
     if closure.contradictions < CONFIRMING_CHECKS:
         return ""
-    return f"{share:.0%} of the walls observed since then would be hidden behind older walls"
+    return f"{percent(share)} of the walls observed since then would be hidden behind older walls"
