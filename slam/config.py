@@ -61,7 +61,7 @@ class LidarConfig(_Group):
         gt=-10,
         lt=10,
         description="seconds by which the lidar's stamps are late against odometry's, negative if early; by default "
-        "that of the recording if it is significant and longer than the period of the scans, else zero",
+        "that of the recording if it is significant and the turns from scan to scan do not contradict it, else zero",
     )
     topic: str = Field(
         "", description="topic of the scans or point clouds in a ROS recording; by default the best one with scans"

@@ -27,9 +27,9 @@ def length(metres: float) -> str:
     return f"{metres:.2f} m" if size < 10 else f"{metres:.0f} m"
 
 
-def percent(share: float) -> str:
-    """Return a ratio in per cent."""
-    return f"{100 * share:.0f} %"
+def percent(share: float, digits: int = 0) -> str:
+    """Return a ratio in per cent, with some digits after the decimal point."""
+    return f"{100 * share:.{digits}f} %"
 
 
 def counted(count: int, noun: str) -> str:

@@ -23,8 +23,6 @@ from .mapping.mapper import Mapper
 from .mapping.odometry_segments import OdometrySegments
 from .publisher import Publisher
 
-# Keyframes before a loop closure that are checked for walls in common with the older part of the map.
-CHECKED_KEYFRAMES = 10
 # Number of keyframes with the largest shifts in the summary.
 LISTED_SHIFTS = 5
 

@@ -63,7 +63,7 @@ class _Fix:
 
 
 class PoseExtrapolator:
-    """Sink that remembers the last pose, and extrapolates it by odometry that has not been processed yet.
+    """Sink that keeps the last pose, and extrapolates it by odometry that has not been processed yet.
 
     With T the motion since the last scan, as odometry measured it and corrected for the systematic errors that were
     learned, the pose is the scan's followed by T, and its covariance is

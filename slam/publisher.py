@@ -70,7 +70,7 @@ class Publisher:
                 sink.handle(event)
 
     def _is_received(self, *types: type[Event]) -> bool:
-        """True if a sink receives events of one of these types."""
+        """Return True if a sink receives events of one of these types."""
         return any(issubclass(one, handled) for one in types for _, handled in self._sinks)
 
     def publish_tracking(

@@ -19,7 +19,7 @@ MIN_MEASUREMENTS = 36
 
 
 class Ld06Device(LidarDevice):
-    """An LD06, LD19 or STL-27L, as its baud rate tells. Options: see `device_spec`."""
+    """An LD06, LD19 or STL-27L, by its baud rate. Options: see `device_spec`."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__(options)

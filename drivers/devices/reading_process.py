@@ -39,7 +39,7 @@ class Job:
 
     specs      of the devices
     recording  file to which all messages are written, replaced if it exists; None: no recording
-    deliver    False if the consumer wants snapshots only
+    deliver    False if the consumer takes snapshots only
     driving    limits of drive commands to the wheel base; None: it is not driven
     in_order   True to deliver messages in the order of their stamps, False as they arrive, see `EarlyDelivery`. The
                recording is in order

@@ -33,7 +33,7 @@ SICK_NO_RETURN = 81.83
 """Metres. A SICK LMS in centimetre mode reports codes 8183 to 8191 instead of a range: no echo, dazzled, etc."""
 
 MAX_NUMBERS = 1 << 16
-"""Different readings that are remembered. Origin: chosen; some megabytes, and ranges in millimetres up to 65 m."""
+"""Different readings that are kept. Origin: chosen; some megabytes, and ranges in millimetres up to 65 m."""
 
 _DECIMAL = re.compile(rb"\d+(\.\d+)?$")
 

@@ -177,7 +177,7 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
     if info.beams and info.beams[0] != info.beams[1]:
         warnings.append(f"the number of beams varies between {info.beams[0]} and {info.beams[1]}")
     if info.invalid_share is not None and info.invalid_share > MAX_INVALID_SHARE:
-        warnings.append(f"{info.invalid_share:.0%} of the beams have no valid range")
+        warnings.append(f"{100.0 * info.invalid_share:.0f} % of the beams have no return")
     warnings += _offset_warnings(info)
     warnings += _gap_warnings("scans", info.scan_gaps)
     warnings += _gap_warnings("odometry", info.odometry_gaps)

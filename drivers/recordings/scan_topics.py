@@ -57,7 +57,7 @@ class ScanTopic:
         even, returns = self.even, self.returns
         share = float(even.mean()) if len(even) else 0.0
         mean = float(np.mean(returns)) if returns else 0.0
-        return f"{len(returns)} scans, {share:.0%} evenly stamped, with {mean:.0f} returns each"
+        return f"{len(returns)} scans, {100.0 * share:.0f} % evenly stamped, with {mean:.0f} returns each"
 
 
 def choose_scan_topic(topics: Sequence[ScanTopic]) -> tuple[str, str]:

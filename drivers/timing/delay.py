@@ -93,7 +93,7 @@ def estimate_delay(turns: Turns, direction: float = 1.0) -> Delay | None:
     if not abs(seconds) < MAX_DELAY - STEP or not sigma > 0.0:
         return None
     significant = abs(seconds) / sigma > upper_limit(ERROR_PROBABILITY / 2, len(weights) - 1)
-    objection = None if significant else "not significant"
+    objection = None if significant else f"not significant at an error probability of {ERROR_PROBABILITY:g}"
     if significant and _predicts_worse(runs, turns.odometry, seconds):
         objection = "contradicted by the turns from scan to scan"
     return Delay(seconds, sigma, objection)

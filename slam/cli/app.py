@@ -37,7 +37,7 @@ from .commands.run import run
 from .commands.save import save
 from .commands.simulate import simulate
 from .console import EXIT_INTERRUPTED, EXIT_USER_ERROR, print_message
-from .registration import add_command
+from .registration import add_command, help_text
 
 UsageError: Any = typer.BadParameter.__mro__[1]
 """Class of errors in the arguments; typer exports only its subclasses."""
@@ -82,7 +82,6 @@ def _print_versions(requested: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def wclm(
     version: Annotated[
         bool,
@@ -100,6 +99,8 @@ def wclm(
     what is needed to continue, refine or correct it.
     """
 
+
+app.callback(help=help_text(wclm))(wclm)
 
 COMMANDS: dict[str, dict[str, Callable[..., Any]]] = {
     "Mapping": {

@@ -44,7 +44,6 @@ RecordingArgument = Annotated[
         help="Recording: CARMEN log, MCAP file, ROS 1 bag, ROS 2 bag directory, or simulation (sim:office?seed=3).",
     ),
 ]
-SessionArgument = Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")]
 WorldArgument = Annotated[str, typer.Argument(help="Name of a built-in world, or a TOML file.")]
 SetOption = Annotated[
     list[str] | None,

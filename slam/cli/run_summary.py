@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..formatting import counted
+from ..formatting import counted, percent
 from ..io.host import peak_memory, versions
 from ..io.output_dir import TRAJECTORY
 from .console import printable
@@ -123,7 +123,7 @@ def _plan(summary: dict[str, Any]) -> list[tuple[str, str]]:
     if plan is None or not plan["recognised"]:
         return []  # a warning states it
     differences = plan["differences"]
-    number = f"{len(differences)} difference{'' if len(differences) == 1 else 's'}"
+    number = counted(len(differences), "difference")
     rows = [("plan", f"{plan['same']} walls are as in {plan['file']}, {number}")]
     rows += [("", line) for line in differences[:SHOWN_DIFFERENCES]]
     if (more := len(differences) - SHOWN_DIFFERENCES) > 0:
@@ -161,7 +161,7 @@ def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
         times = ", ".join(f"at {begin:.1f} s for {end - begin:.1f} s" for begin, end in spans[:SHOWN_SPANS])
         more = f", and {len(spans) - SHOWN_SPANS} more times" if len(spans) > SHOWN_SPANS else ""
         share = slam["health"]["lost"] / max(1, slam["scans"])
-        rows.append(("LOST", f"{times}{more}; {share:.1%} of the scans"))
+        rows.append(("LOST", f"{times}{more}; {percent(share, 1)} of the scans"))
     later = (slam.get("parts") or [])[1:]
     if later:
         joined = [f"{row['stamp']:.1f} s {'joined' if row['joined'] else 'not joined'}" for row in later[:SHOWN_SPANS]]

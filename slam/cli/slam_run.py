@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import gc
 import time
-from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from drivers.messages import Message
 
 from ..config import Config, config_to_toml
 from ..errors import MapError
-from ..events import Event, Finished, Notice, Sink
+from ..events import Finished, Sink
 from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
@@ -29,6 +28,7 @@ from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
 from .mode_switch import ModeSwitch
+from .notice_collector import NoticeCollector
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
 from .run_summary import RunResult
@@ -41,27 +41,7 @@ if TYPE_CHECKING:
     from ..visualisation.live_page import GridLayer, PageServer
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
 
-MAX_EQUAL_NOTICES = 1000
-"""Equal warnings that a run keeps: a robot that is lost for a day has one at each scan."""
 FINDING_TIMING = "estimating the timing of the lidar"
-
-
-@dataclass(slots=True)
-class NoticeCollector:
-    """Sink that collects the texts of notices that are warnings, of equal ones the first MAX_EQUAL_NOTICES."""
-
-    handled: ClassVar[tuple[type[Event], ...]] = (Notice,)
-    texts: list[str] = field(default_factory=list)
-    _counts: Counter[str] = field(default_factory=Counter)
-
-    def handle(self, event: Event) -> None:
-        """Process one event."""
-        if isinstance(event, Notice) and event.level == "WARN":
-            self._counts[event.text] += 1
-            if self._counts[event.text] <= MAX_EQUAL_NOTICES:
-                self.texts.append(f"{event.text} (at {event.stamp:.2f} s)")
-            elif self._counts[event.text] == MAX_EQUAL_NOTICES + 1:
-                self.texts.append(f"more than {MAX_EQUAL_NOTICES} times: {event.text}")
 
 
 def run_slam(
@@ -95,13 +75,7 @@ def run_slam(
     print_left_behind(out)
     output = OutputDirectory(out, overwrite, reserved=not run_input.finite)
     with output as directory, ExitStack() as log, ExitStack() as saving:
-        if run_input.finite:
-            compile_for_recording()
-        else:
-            compile_all()
-            return_large_blocks()
-        import_module("slam.pipeline")  # so that its modules are frozen, too
-        gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
+        _load_code(finite=run_input.finite)
         notices, statistics, reviewed = NoticeCollector(), InputStatistics(keeps_odometry=picture), None
         sinks: list[Sink] = [notices, *run_input.sinks]
         if review:
@@ -133,6 +107,17 @@ def run_slam(
             output.finish(write)
     write_report_page(out)
     return RunResult(summary, review)
+
+
+def _load_code(*, finite: bool) -> None:
+    """Compile and import what a run calls, so that no scan is delayed by it: everything, unless the input is finite."""
+    if finite:
+        compile_for_recording()
+    else:
+        compile_all()
+        return_large_blocks()
+    import_module("slam.pipeline")  # so that its modules are frozen, too
+    gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
 
 
 def _start(run_input: RunInput, setup: RunSetup, sinks: Sequence[Sink], *, refine: bool) -> Slam:

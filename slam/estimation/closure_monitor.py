@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..formatting import percent
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
@@ -17,7 +18,7 @@ from .slam_state import SlamState
 
 # Metres of driving for which a closure is monitored. Origin: chosen, as REFERENCE_DISTANCE; not measured.
 MONITORED_DISTANCE = 15.0
-# Metres of driving between two checks. Origin: chosen, as the interval of the loop search; not measured.
+# Metres of driving between two checks. Origin: chosen, a tenth of MONITORED_DISTANCE; not measured.
 CHECK_INTERVAL = 1.5
 # Share of the wall length observed since the closure that older walls would have hidden, beyond the share without the
 # closure. Origin: measured, on data that are not recorded: doors open and furniture moves, so correct closures
@@ -110,4 +111,4 @@ def _reason_to_retract(closure: MonitoredClosure, mapper: Mapper) -> str:
     closure.contradictions = closure.contradictions + 1 if contradicts else 0
     if closure.contradictions < CONFIRMING_CHECKS:
         return ""
-    return f"{share:.0%} of the walls observed since then would be hidden behind older walls"
+    return f"{percent(share)} of the walls observed since then would be hidden behind older walls"

@@ -82,7 +82,7 @@ class SlamState:
     mapper               graph, landmarks and keyframes
     trajectory           poses of all tracked scans, relative to keyframes
     odometry_model       learned errors of the odometry
-    tracker              last pose fix and what tracking remembers
+    tracker              last pose fix and the other state of tracking
     loops                search for loop closures
     joins                search for the place of a part of the map that is not connected
     keyframe_stamps      seconds

@@ -61,7 +61,7 @@ def log_determinant(matrix):  # type: ignore[no-untyped-def]
 
 @inlined
 def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
-    """True if a symmetric matrix (3, 3) is positive definite."""
+    """Return True if a symmetric matrix (3, 3) is positive definite."""
     a, b, c = matrix[0, 0], matrix[1, 0], matrix[2, 0]
     if not a > 0.0:
         return False

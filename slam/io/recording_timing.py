@@ -125,5 +125,5 @@ def _evidence(test: BeamOrderTest | None) -> str:
 
 def _late(seconds: float, found: Delay | None) -> str:
     """Return a delay as text, with the standard deviation if it was found in the recording."""
-    value = f"{seconds:+.3f} s" if found is None else f"{seconds:+.3f} ± {found.sigma:.3f} s"
-    return f"lidar {value} late against odometry"
+    deviation = "" if found is None else f" ± {found.sigma:.3f}"
+    return f"lidar {abs(seconds):.3f}{deviation} s {'early' if seconds < 0.0 else 'late'} against odometry"

@@ -146,7 +146,7 @@ class LocalField:
         return int(np.searchsorted(ways, ways[-1] - distance))
 
     def is_undetermined(self, since: int, keyframe: int) -> bool:
-        """True if scans do not determine the whole motion from one keyframe to a later one."""
+        """Return True if scans do not determine the whole motion from one keyframe to a later one."""
         return any(since < gap <= keyframe for gap in self._gaps)
 
     def begin_part(self) -> None:

@@ -117,7 +117,7 @@ class PosePredictor:
         self._prediction_error.add(difference, inverse(usual.information).diagonal(), of_match.diagonal())
 
     def update(self, result: TrackingResult, odometry: se2.Pose, rival: tuple[se2.Pose, float] | None) -> None:
-        """Remember the pose of a scan as the fix or as tentative, as its result says.
+        """Keep the pose of a scan as the fix or as tentative, by its status.
 
         rival  pose where a tentative scan fits odometry, and by how much it costs more there; None without one
         """

@@ -138,7 +138,7 @@ class Tracker:
         return result
 
     def _update(self, result: TrackingResult, match: ScanMatch, usual: Prediction, odometry: se2.Pose) -> None:
-        """Remember what the match of a scan says about the next ones."""
+        """Keep what the predictions of the next scans need of a match."""
         if result.status is TrackingStatus.TRACKED:
             self._last_score, self._untracked_in_a_row = match.score, 0
             if self._measured:

@@ -94,7 +94,7 @@ class View:
 
 
 class ViewComparison:
-    """Compares the view of each scan that is suspicious with the last one, and remembers recent changes."""
+    """Comparison of the view of each suspicious scan with the last one; recent changes are kept."""
 
     def __init__(self) -> None:
         self._view: View | None = None  # last view with enough points for a comparison

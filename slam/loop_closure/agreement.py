@@ -161,7 +161,7 @@ class LoopAgreement:
         return self.number(decision)
 
     def _is_settled(self, look: Look, places: Sequence[int], tested: Sequence[Tested]) -> bool:
-        """True if the look agrees with the estimate, which is certain: other places need not be searched."""
+        """Return True if the look agrees with the estimate, which is certain: other places need not be searched."""
         votes = [vote for hypothesis, vote in tested if hypothesis is self._estimate and vote is not None]
         agrees = any(fits(v.match) and is_determined(v.match) and look.agrees(v.old, v.match) for v in votes)
         settled = agrees and all(look.is_certain(place) for place in places)

@@ -101,7 +101,7 @@ def _separate_passes(mapper: Mapper, since: int) -> None:
 
 
 def _agrees(mapper: Mapper, match: LoopMatch) -> bool:
-    """True if the map agrees with a match."""
+    """Return True if the map agrees with a match."""
     poses = mapper.keyframe_poses
     error = se2.between(se2.between(poses[match.old], poses[match.keyframe]), match.relative)
     return bool(error @ np.linalg.solve(match.covariance, error) < MAX_SQUARED_DISTANCE)
@@ -131,12 +131,12 @@ def _merge_coinciding_walls(mapper: Mapper, is_recent: NDArray[np.bool_]) -> lis
 
 
 def _are_separate(walls: np.ndarray[Any, Any], one: int, other: int) -> bool:
-    """True if neither of two walls has been merged into another one."""
+    """Return True if neither of two walls has been merged into another one."""
     return bool(walls["merged_into"][one] == one and walls["merged_into"][other] == other)
 
 
 def walls_coincide(wall: np.void, other: np.void) -> bool:
-    """True if two walls, rows of the landmark table, lie on one line; compared at the middle of the second."""
+    """Return True if two walls, rows of the landmark table, lie on one line; compared at the middle of the second."""
     relative = se2.between(wall["frame"], other["frame"])
     offset = relative[1] + 0.5 * (other["low"] + other["high"]) * np.sin(relative[2])
     return bool(abs(offset) < COINCIDENCE_OFFSET and abs(relative[2]) < COINCIDENCE_HEADING)

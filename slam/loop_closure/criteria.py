@@ -28,17 +28,17 @@ SUPPORT_RATIO = 3.0
 
 
 def fits(match: SubmapMatch) -> bool:
-    """True if a match shows enough of what the old place has seen, and that fits."""
+    """Return True if a match shows enough of what the old place has seen, and that fits."""
     return match.known >= MIN_KNOWN and match.fit >= MIN_LOOP_FIT
 
 
 def is_determined(match: SubmapMatch) -> bool:
-    """True if a match determines the position in every direction."""
+    """Return True if a match determines the position in every direction."""
     return bool(np.linalg.eigvalsh(match.covariance[:2, :2])[-1] < MAX_MATCH_SIGMA**2)
 
 
 def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
-    """True if two motions in the map lead the robot to different places."""
+    """Return True if two motions in the map lead the robot to different places."""
     return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))
 
 
@@ -69,7 +69,7 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
 
 
 def prevails(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
-    """True if a rival has little support, or if enough looks support the hypothesis and contradict the rival."""
+    """Return True if a rival has little support, or if enough looks support the hypothesis and contradict the rival."""
     first, last = hypothesis.support[0].travelled, hypothesis.support[-1]
     supported_now = bool(rival.support) and rival.support[-1].keyframe == last.keyframe
     if not supported_now and len(hypothesis.support) >= SUPPORT_RATIO * rival.support_since(first):
@@ -78,7 +78,7 @@ def prevails(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
 
 
 def tell_apart(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
-    """True if enough looks support a hypothesis and contradict a rival, and few do the opposite."""
+    """Return True if enough looks support a hypothesis and contradict a rival, and few do the opposite."""
     against = rival.discriminating_looks(hypothesis)
     return hypothesis.discriminating_looks(rival) >= SUPPORT_RATIO * max(1, against)
 

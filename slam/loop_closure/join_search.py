@@ -1,10 +1,10 @@
-"""Search for the place of a part of the map that is not connected: is it in another part?
+"""Search for the place of an unconnected part of the map in the other parts.
 
 If odometry measured the way from the other part, the place is searched as in loop closure, within its uncertainty. A
 robot that was carried may be anywhere, and trying all poses in the whole map takes too long: there the constellation of
-the walls seen recently is searched in all walls. Looks along the way must agree with it, and tell it from every pose
-that the walls match nearly as well. If the place is ambiguous, the part stays apart, and the search goes on as the
-robot drives.
+the walls seen recently is searched in all walls. Looks along the way must agree with it, and distinguish it from every
+pose that the walls match nearly as well. If the place is ambiguous, the part stays apart, and the search goes on as
+the robot drives.
 """
 
 from __future__ import annotations

@@ -38,7 +38,7 @@ SEARCH_DEVIATIONS = 3.0
 # Metres, metres, radians: errors of the estimate that its covariance does not contain, such as slips that were not
 # recognised. Origin: chosen; not measured.
 UNMODELLED_SIGMAS = np.array([0.3, 0.3, 0.05])
-# Covariances from which on it takes less time to factorise the graph anew than to ask iSAM2 for one after the other.
+# Covariances from which on it takes less time to factorise the graph anew than to compute each one with iSAM2.
 # Origin: measured, between 4 and 19 in a drive of 900 m.
 MIN_TOGETHER = 8
 
@@ -165,7 +165,7 @@ class Look:
             self._covariances[old] = self.deviation_scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
 
     def is_certain(self, old: int) -> bool:
-        """True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
+        """Return True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
         return _is_minor(self.covariance(old) - np.diag(UNMODELLED_SIGMAS**2))
 
     def possible_places(self) -> list[int]:
@@ -204,7 +204,7 @@ class Look:
         return se2.compose(se2.compose(self._mapper.keyframe_poses[old], relative), se2.inverse(self.pose))
 
     def admits(self, old: int, relative: se2.Pose) -> bool:
-        """True if the estimate's uncertainty admits a pose of the submap in that of an old place."""
+        """Return True if the estimate's uncertainty admits a pose of the submap in that of an old place."""
         return self.squared_distance(old, relative) < MAX_SQUARED_DISTANCE
 
     def squared_distance(self, old: int, relative: se2.Pose) -> float:
@@ -226,7 +226,7 @@ class Look:
         return self._mapper.landmarks.parts.current_first
 
     def agrees(self, old: int, match: SubmapMatch) -> bool:
-        """True if the estimate agrees with a match: the robot is back, and nothing has to be corrected."""
+        """Return True if the estimate agrees with a match: the robot is back, and nothing has to be corrected."""
         return _squared(self.relative(old, np.zeros(3)), match.pose, match.covariance) < MAX_SQUARED_DISTANCE
 
     def consistent(self, matches: Sequence[LoopMatch]) -> list[LoopMatch]:
@@ -238,7 +238,7 @@ class Look:
         return kept
 
     def _are_consistent(self, match: LoopMatch, other: LoopMatch) -> bool:
-        """True if the motion from one match to another over the old map agrees with the estimate."""
+        """Return True if the motion from one match to another over the old map agrees with the estimate."""
         poses = self._mapper.keyframe_poses
         over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
         covariance = self.deviation_scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
@@ -279,7 +279,7 @@ class Look:
 
 
 def _is_minor(covariance: Floats) -> bool:
-    """True if a covariance (3, 3) is below that of UNMODELLED_SIGMAS in every direction."""
+    """Return True if a covariance (3, 3) is below that of UNMODELLED_SIGMAS in every direction."""
     return bool(np.linalg.eigvalsh(covariance / np.outer(UNMODELLED_SIGMAS, UNMODELLED_SIGMAS))[-1] <= 1.0)
 
 

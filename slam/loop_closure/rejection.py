@@ -12,14 +12,16 @@ MIN_REPORTED_SUPPORT = 2
 SENTENCES = {
     "support": "{:.0f} looks agree (requires {:.0f})",
     "span": "the looks that agree extend over {:.1f} m of driving (requires {:.1f} m)",
-    "contradicted": "{:.0%} as many looks contradict it as support it (at most {:.0%})",
-    "fit": "the points fit by {:.1%} (requires {:.1%})",
+    "contradicted": "{:.0f} % as many looks contradict it as support it (at most {:.0f} %)",
+    "fit": "the points fit by {:.1f} % (requires {:.1f} %)",
     "mahalanobis": "the robot would move by {:.1f} standard deviations of the estimate (at most {:.1f})",
-    "rival": "another place has {:.0%} as many looks that support it (at most {:.0%})",
+    "rival": "another place has {:.0f} % as many looks that support it (at most {:.0f} %)",
     "last-look": "the last look fits {:.0f} places as well (at most {:.0f})",
     "retracted": "later scans have contradicted this correction before",
 }
 """Failed check as a sentence about its value and its gate."""
+# Checks whose value and gate are stated in per cent. Origin: definition.
+SHARES = ("contradicted", "fit", "rival")
 
 
 def rejected(decision: LoopDecision, largest_rival: float, equal: int, was_retracted: bool) -> LoopDecision:
@@ -37,5 +39,11 @@ def rejected(decision: LoopDecision, largest_rival: float, equal: int, was_retra
     if was_retracted:
         checks.append(Check("retracted", 1.0, 0.0, at_least=False))
     failed = sorted((check for check in checks if not check.passed), key=lambda check: check.margin)
-    reason = "; ".join(SENTENCES[check.name].format(check.value, check.gate) for check in failed)
+    reason = "; ".join(_sentence(check) for check in failed)
     return replace(decision, status=LoopStatus.REJECTED, reason=reason, checks=tuple(checks))
+
+
+def _sentence(check: Check) -> str:
+    """Return a failed check in words."""
+    scale = 100.0 if check.name in SHARES else 1.0
+    return SENTENCES[check.name].format(scale * check.value, scale * check.gate)

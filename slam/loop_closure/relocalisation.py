@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ..formatting import percent
 from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.mapper import Mapper
 from .map_descriptor import MapDescriptor, describe_map, express_in_frame
@@ -240,16 +241,19 @@ def _decide(best: _Candidate, alternatives: Sequence[_Candidate], covariance: Fl
         (sigma <= MAX_POSITION_SIGMA and turn_sigma <= MAX_HEADING_SIGMA, uncertain),
         (evidence >= MIN_EVIDENCE, f"{matches} of {len(alignment.matches)} walls matched are not enough evidence"),
         (alignment.length >= MIN_ALIGNED_LENGTH, f"{alignment.length:.1f} m of wall < {MIN_ALIGNED_LENGTH:.0f} m"),
-        (overlap_ratio >= MIN_SUBMAP_OVERLAP, f"overlap ratio {overlap_ratio:.0%} < {MIN_SUBMAP_OVERLAP:.0%}"),
+        (
+            overlap_ratio >= MIN_SUBMAP_OVERLAP,
+            f"overlap ratio {percent(overlap_ratio)} < {percent(MIN_SUBMAP_OVERLAP)}",
+        ),
         (
             visibility.contradicted <= MAX_CONTRADICTED,
-            f"{visibility.contradicted:.0%} of the rays passed through walls of the map",
+            f"{percent(visibility.contradicted)} of the rays passed through walls of the map",
         ),
         (
             visibility.agreement >= MIN_AGREEMENT,
-            f"{visibility.agreement:.0%} of the rays agree with the map < {MIN_AGREEMENT:.0%}",
+            f"{percent(visibility.agreement)} of the rays agree with the map < {percent(MIN_AGREEMENT)}",
         ),
-        (score_share >= MIN_SCORE_SHARE, f"total score {score_share:.0%} < {MIN_SCORE_SHARE:.0%}"),
+        (score_share >= MIN_SCORE_SHARE, f"total score {percent(score_share)} < {percent(MIN_SCORE_SHARE)}"),
     ]
     fits = all(passed for passed, _ in checks)
     runner_up = max((candidate.score for candidate in alternatives), default=0.0)
@@ -280,7 +284,7 @@ def _check_alternatives(best: _Candidate, alternatives: Sequence[_Candidate]) ->
     return [
         (
             score <= MAX_ALTERNATIVE_SCORE * best.score,
-            f"an alternative scores {score / max(best.score, 1e-9):.0%} as much",
+            f"an alternative scores {percent(score / max(best.score, 1e-9))} as much",
         ),
         (clear, f"an alternative matches {other:.1f} m of wall, the best pose {length:.1f} m"),
     ]

@@ -176,7 +176,7 @@ def _judge(submap: Submap, old: Submap, pose: se2.Pose, information: Floats) -> 
 
 
 def are_distinct(pose: se2.Pose, other: se2.Pose) -> bool:
-    """True if two poses are different places."""
+    """Return True if two poses are different places."""
     x, y, turn = se2.between(pose, other)
     return bool(math.hypot(x, y) > DISTINCT_SHIFT or abs(turn) > DISTINCT_TURN)
 

@@ -256,7 +256,7 @@ class Landmarks:
         return np.asarray((removed_at == NEVER_REMOVED).all(axis=1))
 
     def is_covered(self, wall: int, along: float) -> bool:
-        """True if a wall was observed `along` metres from its frame."""
+        """Return True if a wall was observed `along` metres from its frame."""
         return math.floor(along / WALL_CELL) in self.covered[wall]
 
     def pieces(self, wall: int) -> Floats:

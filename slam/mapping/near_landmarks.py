@@ -64,7 +64,7 @@ def near_corners(corners, walls, x, y, radius, keyframe):  # type: ignore[no-unt
 
 @inlined
 def is_beyond_reach(dx, dy, low, high, radius):  # type: ignore[no-untyped-def]
-    """True if a wall from `low` to `high` (metres), whatever its direction, is farther than `radius` from (dx, dy).
+    """Return True if a wall from `low` to `high` (metres), in any direction, is farther than `radius` from (dx, dy).
 
     (dx, dy) is relative to the wall's frame. Most walls are, and need no sine and cosine of their direction.
     """
@@ -74,5 +74,5 @@ def is_beyond_reach(dx, dy, low, high, radius):  # type: ignore[no-untyped-def]
 
 @inlined
 def _is_gone(removed_at, keyframe):  # type: ignore[no-untyped-def]
-    """True if a wall was removed before a keyframe; NO_KEYFRAME is after all."""
+    """Return True if a wall was removed before a keyframe; NO_KEYFRAME is after all."""
     return removed_at != NEVER_REMOVED and removed_at < keyframe

@@ -38,7 +38,7 @@ class OdometrySegments:
         return max((history.latest for history in self.histories), default=-np.inf)
 
     def is_continued_by(self, reading: Odometry) -> bool:
-        """True if a reading continues the last segment."""
+        """Return True if a reading continues the last segment."""
         if not self.histories or not len(self.histories[-1]):
             return False
         gap = reading.stamp - self.latest

@@ -142,7 +142,7 @@ def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-unt
 
 @inlined
 def _three_cross(across, p, eye):  # type: ignore[no-untyped-def]
-    """True if sight line p and its two neighbours have both ends more than MIN_DEPTH from a wall, on either side.
+    """Return True if sight line p and both neighbours have both ends more than MIN_DEPTH from a wall, on either side.
 
     across  (p,) metres of the points from the wall's line
     eye     metres of the viewpoint

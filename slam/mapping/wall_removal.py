@@ -43,8 +43,8 @@ RIGID_DISTANCE = 15.0
 MIN_SUPPORT = 1.0
 # Ratio of their length to the length that the scan sees through. Origin: chosen; not measured.
 MIN_SUPPORT_RATIO = 3.0
-# Metres of driving for which no scan counts after `suspend`: two searches for loops.
-# Origin: chosen, twice the interval of the loop search; not measured.
+# Metres of driving for which no scan counts after `suspend`: the next search for loops is within it.
+# Origin: chosen, one and a half intervals of that search; not measured.
 SUSPENSION_DISTANCE = 3.0
 
 

@@ -161,7 +161,7 @@ def _insert(field, scan_of, scans, count, poses, points, first, begin):  # type:
 
 @inlined
 def _must_wait(field, scan_of, scan, x, y):  # type: ignore[no-untyped-def]
-    """True if a point of a scan at (x, y), in cells, is in free space, and no scan before had one there."""
+    """Return True if a point of a scan at (x, y), in cells, is in free space, and no scan before had one there."""
     if nearest_distance(field, ALL_POINTS, x, y) < NEW_SURFACE or not is_surrounded(field[3], x, y):
         return False
     return must_wait(scan_of, scan, x, y)
@@ -169,14 +169,14 @@ def _must_wait(field, scan_of, scan, x, y):  # type: ignore[no-untyped-def]
 
 @inlined
 def _surroundings_are_inside(x, y, seen):  # type: ignore[no-untyped-def]
-    """True if all cells that a point at (x, y), in cells, changes are in the field."""
+    """Return True if all cells that a point at (x, y), in cells, changes are in the field."""
     cells, row, column = SEEN_CELLS * len(seen), math.floor(x), math.floor(y)
     return SPAN <= row < cells - SPAN and SPAN <= column < cells - SPAN
 
 
 @inlined
 def _belongs_to(grid, normal_x, normal_y):  # type: ignore[no-untyped-def]
-    """True if a point with a normal, zero if unknown, belongs to a grid."""
+    """Return True if a point with a normal, zero if unknown, belongs to a grid."""
     along = normal_x if grid % 2 == 0 else normal_y
     unknown = normal_x == 0.0 and normal_y == 0.0
     return grid == ALL_POINTS or unknown or (along if grid < 2 else -along) > MIN_FACING
@@ -184,7 +184,7 @@ def _belongs_to(grid, normal_x, normal_y):  # type: ignore[no-untyped-def]
 
 @inlined
 def _is_known(tile_of, tiles, grid, x, y):  # type: ignore[no-untyped-def]
-    """True if there is a point at (x, y), in cells, already."""
+    """Return True if there is a point at (x, y), in cells, already."""
     row, column = math.floor(x), math.floor(y)
     dx, dy = metres(offset_at(tile_of, tiles, grid, row, column))
     dx, dy = dx + FIELD_CELL * (x - row - 0.5), dy + FIELD_CELL * (y - column - 0.5)

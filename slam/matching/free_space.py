@@ -70,7 +70,7 @@ def mark_seen(seen, x, y, end_x, end_y):  # type: ignore[no-untyped-def]
 
 @inlined
 def is_seen(seen, x, y):  # type: ignore[no-untyped-def]
-    """True if (x, y), in cells of FIELD_CELL, lies in a cell that was seen."""
+    """Return True if (x, y), in cells of FIELD_CELL, lies in a cell that was seen."""
     row, column, cells = math.floor(x), math.floor(y), SEEN_CELLS * len(seen)
     if row < 0 or column < 0 or row >= cells or column >= cells:
         return False
@@ -79,7 +79,7 @@ def is_seen(seen, x, y):  # type: ignore[no-untyped-def]
 
 @inlined
 def is_surrounded(seen, x, y):  # type: ignore[no-untyped-def]
-    """True if the cell of (x, y), in cells of FIELD_CELL, and all its neighbours were seen: no wall is there."""
+    """Return True if the cell of (x, y), in cells of FIELD_CELL, and all its neighbours were seen: no wall is there."""
     row, column = math.floor(x) // SEEN_CELLS, math.floor(y) // SEEN_CELLS
     for i in range(row - 1, row + 2):
         for j in range(column - 1, column + 2):
@@ -90,7 +90,7 @@ def is_surrounded(seen, x, y):  # type: ignore[no-untyped-def]
 
 @inlined
 def must_wait(scan_of, scan, x, y):  # type: ignore[no-untyped-def]
-    """True if no scan before the one with the number `scan` had a point in the cell of (x, y); store that it has."""
+    """Return True if no scan before the one numbered `scan` had a point in the cell of (x, y); store that it has."""
     i, j = math.floor(x) // WAITING_CELLS, math.floor(y) // WAITING_CELLS
     if 0 < scan_of[i, j] < scan:
         return False

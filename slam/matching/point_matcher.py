@@ -19,8 +19,8 @@ share r of these beams at the pose where they are fewest, as people who have gon
 
     log((1 - r) / r) / POINTS_PER_OBJECT
 
-A point in a cell that no beam has crossed is evidence of nothing: its cost is UNSEEN. So is that of a point beside a
-surface that faces elsewhere: it may be on the other side of a wall, seen for the first time.
+A point in a cell that no beam has crossed neither supports a pose nor contradicts it: its cost is UNSEEN. So is that
+of a point beside a surface that faces elsewhere: it may be on the other side of a wall, seen for the first time.
 """
 
 from __future__ import annotations

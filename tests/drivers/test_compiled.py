@@ -63,8 +63,12 @@ def test_only_the_caches_of_dependent_modules_are_deleted(package: Path, tmp_pat
 
 
 def test_read_only_cache_is_not_changed(package: Path, tmp_path: Path) -> None:
-    (tmp_path / "cache").write_text("a file instead of the folder, so that nothing can be written in it")
-    discard_stale(package / "inner" / "kernel.py", tmp_path / "cache")
+    cache = tmp_path / "cache"
+    cache.write_text(text := "a file instead of the folder, so that nothing can be written in it")
+    before = sorted(tmp_path.rglob("*"))
+    discard_stale(package / "inner" / "kernel.py", cache)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert cache.read_text() == text
 
 
 @pytest.mark.parametrize(

@@ -29,5 +29,9 @@ def test_changed_source_deletes_cached_functions(tmp_path: Path, folder: str) ->
 
 def test_read_only_package_is_not_changed(tmp_path: Path) -> None:
     (tmp_path / "one.py").write_text("a = 1\n")
-    (tmp_path / "__pycache__").write_text("a file instead of the folder, so that nothing can be written in it")
+    cache = tmp_path / "__pycache__"
+    cache.write_text(text := "a file instead of the folder, so that nothing can be written in it")
+    before = sorted(tmp_path.rglob("*"))
     discard_stale(tmp_path)
+    assert sorted(tmp_path.rglob("*")) == before
+    assert cache.read_text() == text

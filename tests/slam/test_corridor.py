@@ -1,4 +1,4 @@
-"""A bare corridor, whose ends are out of sight: what walls do not tell is not pretended."""
+"""A bare corridor, whose ends are out of sight: what walls do not determine must not seem certain."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     if found.intensities is not None:
         rows.append(("intensity", "{:g} to {:g}, in the lidar's own unit".format(*found.intensities)))
     for x, y, heading in found.mounts:
-        rows.append(("lidar", f"mounted at x {x:.3f} m, y {y:.3f} m, heading {math.degrees(heading):.1f} degrees"))
+        rows.append(("lidar", f"mounted at x {x:z.3f} m, y {y:z.3f} m, heading {math.degrees(heading):z.1f} degrees"))
     rows.append(("odometry", _count(found.odometry, found.odometry_rate) + f", {found.path_length:.1f} m driven"))
     rows += [("timing", text) for text in timing.findings()]
     if found.ground_truth:

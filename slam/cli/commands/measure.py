@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ...formatting import counted
+from ...formatting import counted, percent
 from ..console import print_if_slow, print_message
 from ..options import OverwriteOption, RegularOption
 
@@ -112,7 +112,7 @@ def _as_text(measured: MeasuredMap) -> str:
     lines, room = [], None
     for one in measured.measurements:
         if one.room != room and one.room is not None:
-            lines.append(f"room {one.room}: {measured.rooms[one.room - 1].observed:.0%} of the outline was seen")
+            lines.append(f"room {one.room}: {percent(measured.rooms[one.room - 1].observed)} of the outline was seen")
         room = one.room
         walls = "" if one.unit == "m2" or one.kind == "perimeter" else " " + " and ".join(map(str, one.walls))
         lines.append(f"{'  ' if room is not None else ''}{one.kind}{walls}: {_with_deviation(one)}")

@@ -14,10 +14,11 @@ from ...io.recordings import absolute_recording, open_source
 from ...io.run_results import write_results
 from ..compilation import compile_for_recording
 from ..console import print_if_slow
+from ..notice_collector import NoticeCollector
 from ..run_input import InputStatistics, RecordingInput
 from ..run_setup import READING_SESSION
 from ..run_summary import RunResult, format_summary
-from ..slam_run import NoticeCollector, process_messages, write_report_page
+from ..slam_run import process_messages, write_report_page
 
 if TYPE_CHECKING:
     from ...events import Event, Sink

@@ -108,7 +108,7 @@ class RosInput:
             raise DiscardedError
 
     def _odometry_first(self) -> Iterator[Message]:
-        """Yield the messages; the first one is odometry, whose stamp tells whether time goes on after the session.
+        """Yield the messages; the first one is odometry, whose stamp shows if time goes on after the session.
 
         Without odometry it is the first scan.
         """

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...formatting import percent
 from ...geometry.segments import Floats
 from ...measuring.measured_map import NOTHING_MEASURED, MeasuredMap
 from ...measuring.openings import Opening
@@ -75,7 +76,7 @@ def _rooms(rooms: Sequence[Room]) -> Iterator[str]:
     yield '<g class="rooms">'
     for room in rooms:
         rings = "".join(f"M{_points(part.vertices)}Z" for part in (room.outline, *room.islands))
-        yield f'<path d="{rings}"><title>{room.name}: {room.observed:.0%} of the outline was seen</title></path>'
+        yield f'<path d="{rings}"><title>{room.name}: {percent(room.observed)} of the outline was seen</title></path>'
     yield "</g>"
 
 

@@ -8,6 +8,7 @@ from drivers import se2
 
 from ...errors import MapError
 from ...estimation.slam_state import SlamState
+from ...formatting import percent
 from ...localisation.local_field import REFERENCE_DISTANCE
 from ...loop_closure.agreement import RIVAL_QUALITY
 from ...loop_closure.closing import REVISIT_GAP
@@ -65,9 +66,8 @@ def _misfit(found: list[SubmapMatch]) -> str:
         return "the scans fit at no pose"
     best = found[0]
     if best.fit < MIN_LOOP_FIT:
-        return f"at the best pose {best.fit:.0%} of the points fit (at least {MIN_LOOP_FIT:.0%} needed)"
+        return f"at the best pose {percent(best.fit)} of the points fit (at least {percent(MIN_LOOP_FIT)} needed)"
     if best.known < MIN_KNOWN:
-        return (
-            f"the older scans have seen {best.known:.0%} of what the later ones show (at least {MIN_KNOWN:.0%} needed)"
-        )
+        needed = f"(at least {percent(MIN_KNOWN)} needed)"
+        return f"the older scans have seen {percent(best.known)} of what the later ones show {needed}"
     return "the scans do not determine the position in every direction, as along a bare corridor"

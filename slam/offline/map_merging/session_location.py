@@ -14,6 +14,7 @@ import numpy as np
 
 from drivers import se2
 
+from ...formatting import percent
 from ...geometry.segments import Floats, Integers
 from ...loop_closure.criteria import MAX_MATCH_SIGMA, MIN_KNOWN, MIN_LOOP_FIT
 from ...loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN, DISTORTION_SIGMAS, NO_PRIOR
@@ -169,8 +170,9 @@ class _Comparison:
             more = f" and {unnamed} more" if unnamed else ""
             only = f"{agreeing} of its {count} submaps fit in one of them only: {numbers}"
             return f"it fits in several places, {places}{more}; {only}"
-        fits = self.fits[self.best]
-        share = f"{fits.fit[fits.known].mean():.0%} of the {fits.known.sum()} cells" if fits.known.any() else "none"
+        fits, share = self.fits[self.best], "none"
+        if fits.known.any():
+            share = f"{percent(fits.fit[fits.known].mean())} of the {fits.known.sum()} cells"
         place = f"at its best place, {self._motion(self.best)}"
         return f"{place}, {share} fit, as they may where it only looks alike: {numbers}"
 

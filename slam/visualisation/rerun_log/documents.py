@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ...events import Correction, KeyframeAdded, LoopDecided
+from ...formatting import percent
 from ...graph.residuals import MEASUREMENTS, Residuals
 from .feature_matches import FeatureMatches
 
@@ -119,7 +120,7 @@ def residual_report(residuals: Residuals, count: int) -> str:
             continue
         dof, squared = residuals.dof[chosen], residuals.squared[chosen]
         beyond = np.mean(squared > chdtri(dof, 0.001))
-        lines.append(f"| {kind} | {len(squared)} | {squared.sum() / dof.sum():.2f} | {beyond:.1%} |")
+        lines.append(f"| {kind} | {len(squared)} | {squared.sum() / dof.sum():.2f} | {percent(beyond, 1)} |")
     lines += ["", "The expected mean is 1 if the noise is as modelled.", ""]
     lines += ["| worst factors | kind | d² | weight |", "|---|---|---|---|"]
     for index in residuals.worst(count).tolist():

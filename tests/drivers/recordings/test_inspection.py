@@ -68,7 +68,7 @@ def test_good_recording_is_described_without_warnings() -> None:
         ([*drive(), scan(10.1, mounted=False)], "1 scan without a lidar mount"),
         ([scan(0.0, mounted=False), odometry(0.0)], "the mount of the lidar on the robot is not recorded"),
         ([*drive(), scan(10.1, beams=6)], "number of beams varies between 4 and 6"),
-        ([scan(0.1 * i, valid=1) for i in range(9)], "75% of the beams"),
+        ([scan(0.1 * i, valid=1) for i in range(9)], "75 % of the beams"),
         ([*drive(), *[scan(30.0 + 0.1 * i) for i in range(9)]], "1 gap in the scans, the longest 20.0 s"),
         ([*drive(), *[scan(10.1 + 0.1 * i) for i in range(50)]], "scans without odometry for 5.0 s at 10.000"),
         ([*[scan(-3.0 + 0.1 * i) for i in range(29)], *drive()], "scans without odometry for 3.0 s at -3.000"),

@@ -63,5 +63,13 @@ def test_an_error_follows_the_last_message() -> None:
 
 
 def test_it_ends_although_nobody_receives() -> None:
-    with MessagePump(Source(2 * CAPACITY), lambda message: None):
-        pass
+    full = threading.Event()
+
+    def arrived(message: Message) -> None:
+        if message.stamp == CAPACITY:  # the queue takes no further one
+            full.set()
+
+    source = Source(2 * CAPACITY)
+    with MessagePump(source, arrived):
+        assert full.wait(30.0)
+    assert source.messages  # the thread has ended while it waited to hand on a message

@@ -1,6 +1,6 @@
 """Warnings of a run."""
 
-from slam.cli.slam_run import MAX_EQUAL_NOTICES, NoticeCollector
+from slam.cli.notice_collector import MAX_EQUAL_NOTICES, NoticeCollector
 from slam.events import Notice
 
 

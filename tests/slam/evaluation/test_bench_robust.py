@@ -18,16 +18,15 @@ from slam.config import Config
 from slam.errors import MapError
 from slam.evaluation.benchmarks import robust
 from slam.evaluation.benchmarks.robust import (
-    TABLE_HEAD,
     Job,
     PathScore,
     RobustResult,
     reference_errors,
     run_job,
     run_jobs,
-    table_row,
 )
 from slam.evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, find_recordings
+from slam.evaluation.benchmarks.robust_table import TABLE_HEAD, table_row
 from slam.io.tum import Trajectory, write_tum
 
 LIDAR = LidarModel(beams=180)

@@ -120,7 +120,7 @@ def test_svg_has_rooms_without_their_islands_and_doors(
     root, space = ElementTree.parse(tmp_path / "a.svg").getroot(), {"s": "http://www.w3.org/2000/svg"}
     (area,) = root.findall("s:g[@class='rooms']/s:path", space)
     assert area.attrib["d"].count("M") == area.attrib["d"].count("Z") == 2
-    assert area[0].text == "room 1: 94% of the outline was seen"
+    assert area[0].text == "room 1: 94 % of the outline was seen"
     (door,) = root.findall("s:g[@class='openings']/s:text", space)
     assert door.text == "door 1: 1.0 m"
 

@@ -154,17 +154,18 @@ def test_clients_receive_map_scan_pose_and_state(finished: Finished) -> None:
 
 
 def test_a_slow_client_misses_frames_and_delays_nobody() -> None:
-    """It gets one frame, and when it has drawn that, only the newest pose."""
+    """It gets one frame, and when it has drawn that, only the newest pose.
+
+    It draws that frame after the last pose is put: if poses waited for it, the test would not end.
+    """
     state = LiveState()
 
     async def test() -> None:
         slow, fast = await connect(server), await connect(server)
         assert await slow.read_message() is not None
         await frame(fast)
-        begun = time.monotonic()
         for number in range(2000):
             state.put_pose(float(number), POSE, None)
-        assert time.monotonic() - begun < 5.0
         while (await frame(fast))["pose"]["stamp"] != 1999.0:
             pass
         await slow.write_message('{"drawn": 1}')

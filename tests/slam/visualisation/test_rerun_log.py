@@ -285,9 +285,13 @@ def test_suspects_are_marked_and_named_from_their_own_time_on(tmp_path):
 
 
 def test_closing_twice_is_allowed_and_later_events_are_ignored(tmp_path):
-    review = log_events(tmp_path / "twice.rrd", [])
+    path = tmp_path / "twice.rrd"
+    review = log_events(path, [])
+    closed = path.read_bytes()
     review.close()
     review.handle(Notice(0.0, "too late"))
+    assert (review.waiting, review.left_out()) == (0, {"thinned": 0, "lost": 0, "failed": 0})
+    assert path.read_bytes() == closed
 
 
 def test_an_unwritable_file_raises_an_output_error(tmp_path):

@@ -53,8 +53,9 @@ def bench_robust(
 
     Example: [bold]wclm bench robust datasets --condition intel --condition crowd[/bold]
     """
-    from ....evaluation.benchmarks.robust import TABLE_HEAD, run_jobs, select_jobs, table_row
+    from ....evaluation.benchmarks.robust import run_jobs, select_jobs
     from ....evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, find_recordings
+    from ....evaluation.benchmarks.robust_table import TABLE_HEAD, table_row
     from ....io.json_files import to_json_types
 
     recordings = [] if folder is None else find_recordings(folder)
