@@ -76,14 +76,15 @@ class PlanMap:
 def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
     """Return the walls of a plan that can be seen, with views.
 
-    sigmas  standard deviations of a wall across (metres) and of its heading (radians), beside the plan's precision
+    sigmas  standard deviations of a wall across (metres) and of its heading (radians), beside those that follow from
+            the plan's precision
 
     Without views there are no walls: the plan has no place that a robot fits in.
     """
     frames, members, spans = _merge_pieces(plan)
     viewpoints = find_viewpoints(plan) if plan.viewpoints is None else plan.viewpoints
-    rays = cast_views(viewpoints, plan.segments, plan.one_sided)
-    covariance = np.diag([sigmas[0] ** 2 + plan.precision**2, sigmas[1] ** 2])
+    rays = cast_views(viewpoints, plan)
+    covariance = _covariances(spans, sigmas, plan.precision)
     seen = [_visible_parts(ray, plan, frames, members) for ray in rays]
     covered: list[set[int]] = [set() for _ in frames]
     for _, parts in seen:
@@ -94,8 +95,8 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
     views = []
     for ray, (points, parts) in zip(rays, seen, strict=True):
         parts = [(number[wall], low, high) for wall, low, high in parts if wall in number]
-        views.append(_view(ray.position, points, parts, frames[kept], covariance))
-    walls = _walls(frames[kept], [covered[wall] for wall in kept], spans[kept], covariance, views)
+        views.append(_view(ray.position, points, parts, frames[kept], covariance[kept]))
+    walls = _walls(frames[kept], [covered[wall] for wall in kept], spans[kept], covariance[kept], views)
     rest = np.flatnonzero([not cells for cells in covered])
     hidden = se2.transform(frames[rest][:, None], np.stack([spans[rest], np.zeros((len(rest), 2))], axis=-1))
     return PlanMap(plan, walls, np.asarray(hidden).reshape(-1, 2, 2), views)
@@ -158,6 +159,22 @@ def _line_through(pieces: Floats, length: Floats, heading: float) -> se2.Pose:
     return np.array([*middle.tolist(), math.atan2(axis[1], axis[0])])
 
 
+def _covariances(spans: Floats, sigmas: tuple[float, float], precision: float) -> Floats:
+    """Return the covariance (m, 2, 2) of offset and heading of faces at their middles.
+
+    spans      (m, 2) extents, metres
+    sigmas     standard deviations of any wall
+    precision  of the points of a line in the file, metres
+
+    The heading of a line through two points is the less certain the shorter it is: that of a short wall in a grid map
+    is hardly known.
+    """
+    result = np.zeros((len(spans), 2, 2))
+    result[:, 0, 0] = sigmas[0] ** 2 + precision**2
+    result[:, 1, 1] = sigmas[1] ** 2 + 2.0 * (precision / np.maximum(np.ptp(spans, axis=1), MIN_PIECE)) ** 2
+    return result
+
+
 def _visible_parts(
     ray: Ray, plan: Plan, frames: Floats, members: Integers
 ) -> tuple[Floats, list[tuple[int, float, float]]]:
@@ -182,20 +199,20 @@ def _visible_parts(
 def _view(
     position: Floats, points: Floats, parts: list[tuple[int, float, float]], frames: Floats, covariance: Floats
 ) -> PlanView:
-    """Return a view of parts of walls with some frames."""
+    """Return a view of parts of walls with some frames (m, 3) and covariances (m, 2, 2)."""
     walls = np.array([wall for wall, _, _ in parts], dtype=np.int64)
     ends = np.array([part[1:] for part in parts], dtype=np.float64).reshape(-1, 2)
     middle, half = ends.mean(axis=1), 0.5 * (ends[:, 1] - ends[:, 0])
     zero = np.zeros(len(walls))
     frame = se2.compose(frames[walls], np.column_stack([middle, zero, zero])).reshape(-1, 3)
-    segments = Segments(frame - [*position.tolist(), 0.0], half, np.tile(covariance, (len(walls), 1, 1)))
+    segments = Segments(frame - [*position.tolist(), 0.0], half, covariance[walls])
     return PlanView(position, points, segments, walls)
 
 
 def _walls(
     frames: Floats, covered: Sequence[set[int]], spans: Floats, covariance: Floats, views: Sequence[PlanView]
 ) -> MapWalls:
-    """Return the faces as walls with their visible pieces."""
+    """Return the faces as walls with their visible pieces and their covariances (m, 2, 2)."""
     landmarks = Landmarks()
     for frame, cells, span in zip(frames, covered, spans, strict=True):
         wall = landmarks.add_wall(frame, 0.5 * float(span[1] - span[0]), 0)
@@ -209,6 +226,6 @@ def _walls(
         low=rows["low"].copy(),
         high=rows["high"].copy(),
         observations=observed,
-        covariance=np.tile(covariance, (len(rows), 1, 1)),
+        covariance=covariance,
         pieces=tuple(landmarks.pieces(wall) for wall in range(len(rows))),
     )

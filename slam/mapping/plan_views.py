@@ -21,6 +21,9 @@ SAME_PLACE = 0.5 * VIEWPOINT_SPACING
 RAYS = 360
 # Metres that a ray reaches. Origin: chosen, farther walls are seen from nearer places.
 RAY_REACH = 20.0
+# Standard deviations of a plan's precision by which one side of a wall may seem to be behind the other.
+# Origin: chosen, 99.7 %.
+SAME_WALL_DEVIATIONS = 3.0
 # Share of the rays from a place that must meet a visible side: otherwise it is outside of the building.
 # Origin: definition, most of them.
 MIN_MEETING = 0.5
@@ -60,10 +63,10 @@ def _clearance(place: Floats, segments: Floats) -> float:
     return float(np.hypot(*(nearest - place).T).min(initial=np.inf))
 
 
-def cast_views(viewpoints: Floats, segments: Floats, one_sided: np.ndarray) -> list[Ray]:
-    """Cast rays from places (k, 2) in a drawing, and return those of places inside, in the order of a short tour."""
-    rays = [_cast(place, segments) for place in _thinned(viewpoints)]
-    return [ray for ray in _tour(rays) if _is_inside(ray, segments, one_sided)]
+def cast_views(viewpoints: Floats, plan: Plan) -> list[Ray]:
+    """Cast rays from places (k, 2) in a plan, and return those of places inside, in the order of a short tour."""
+    rays = [_cast(place, plan) for place in _thinned(viewpoints)]
+    return [ray for ray in _tour(rays) if _is_inside(ray, plan.segments, plan.one_sided)]
 
 
 def _thinned(viewpoints: Floats) -> Floats:
@@ -97,13 +100,16 @@ def _is_inside(ray: Ray, segments: Floats, one_sided: np.ndarray) -> bool:
     return bool(visible.sum() >= MIN_MEETING * RAYS)
 
 
-def _cast(place: Floats, segments: Floats) -> Ray:
+def _cast(place: Floats, plan: Plan) -> Ray:
     """Cast rays from a place (2,).
 
     A ray p + t r meets the segment a + u (b - a) where t = (a - p) x (b - a) / r x (b - a) and
     u = (a - p) x r / r x (b - a), if t > 0 and 0 <= u <= 1.
+
+    The two sides of a thin wall may be on one line, within the precision of the plan: a ray meets the one that faces
+    the place.
     """
-    bearing = 2.0 * math.pi * (np.arange(RAYS) + 0.5) / RAYS
+    segments, bearing = plan.segments, 2.0 * math.pi * (np.arange(RAYS) + 0.5) / RAYS
     near = np.flatnonzero(_reaches(place, segments))
     start, along = segments[near, 0] - place, segments[near, 1] - segments[near, 0]
     ray = np.column_stack([np.cos(bearing), np.sin(bearing)])
@@ -115,7 +121,10 @@ def _cast(place: Floats, segments: Floats) -> Ray:
     distance = np.where(meets, distance, np.inf)
     if not len(near):
         return Ray(place, bearing, np.full(RAYS, np.inf), np.full(RAYS, -1))
-    nearest = distance.argmin(axis=1)
+    turned_away = plan.one_sided[near] & (start[:, 0] * along[:, 1] - start[:, 1] * along[:, 0] < 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        thickness = SAME_WALL_DEVIATIONS * plan.precision * np.hypot(*along.T) / np.abs(across)  # along the ray
+    nearest = np.where(meets & turned_away, distance + thickness, distance).argmin(axis=1)
     shortest = distance[np.arange(RAYS), nearest]
     return Ray(place, bearing, shortest, np.where(np.isfinite(shortest), near[nearest], -1))
 

@@ -80,6 +80,21 @@ def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
+@pytest.mark.parametrize("precision", [1e-3, 0.05 / 12**0.5], ids=["drawing", "grid"])
+@pytest.mark.parametrize("length", [0.6, 4.0])
+def test_short_walls_of_a_coarse_plan_have_an_uncertain_heading(precision: float, length: float) -> None:
+    """As uncertain as lines through two points with such errors, and what is stated for every wall."""
+    outline = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 6.0], [0.0, 6.0]])
+    wall = np.array([[2.0, 1.0], [2.0, 1.0 + length]])
+    lines = np.concatenate([wall[None], np.stack([outline, np.roll(outline, -1, axis=0)], axis=1)])
+    walls = build_plan_map(Plan("walls", lines, np.zeros(5, dtype=bool), precision), SIGMAS).walls
+    (row,) = np.flatnonzero((np.abs(walls.frame[:, 0] - 2.0) < 1e-9) & (walls.frame[:, 2] > 0.0))
+    drawn = wall + np.random.default_rng(0).normal(0.0, precision, (20_000, 2, 2))
+    along = drawn[:, 1] - drawn[:, 0]
+    sigma = np.hypot(np.std(np.arctan2(along[:, 0], along[:, 1])), SIGMAS[1])
+    assert np.sqrt(walls.covariance[row, 1, 1]) == pytest.approx(sigma, rel=0.02)
+
+
 def test_a_map_is_recognised_in_a_plan_and_is_in_its_frame(
     drive: list[Message], without_plan: Finished, tmp_path: Path
 ) -> None:

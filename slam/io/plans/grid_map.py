@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
-from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.ndimage import binary_closing, binary_dilation, distance_transform_edt
 
 from drivers import se2
 
@@ -188,10 +188,12 @@ def _straight_pieces(grid: GridMap) -> Floats:
 
     Cells that are on no line are pieces too, one for each of their free sides, through their centres.
     """
+    # Beams of both sides of a thin wall end in its cells and pass through their edges, so that some are unknown.
+    occupied = grid.occupied | (binary_closing(grid.occupied, np.ones((3, 3), dtype=bool)) & ~grid.free)
     # Where a wall is on the border of two cells, beams end in both, and the nearer one is often unknown.
-    free = grid.free | (binary_dilation(grid.free) & ~grid.occupied)
+    free = grid.free | (binary_dilation(grid.free) & ~occupied)
     pieces = []
-    for centres, steps in _chains(grid.occupied, free):
+    for centres, steps in _chains(occupied, free):
         for part in _split(centres):
             fitted = _fit(centres[part])
             if math.hypot(*(fitted[1] - fitted[0])) >= 1.0:

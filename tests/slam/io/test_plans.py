@@ -179,6 +179,23 @@ def test_walls_of_a_grid_map_are_found_within_a_cell(tmp_path: Path, turn: float
     assert_walls(plan_map, expected, offset=0.05, heading=0.02)
 
 
+def test_a_thin_wall_that_beams_graze_is_one_wall(tmp_path: Path) -> None:
+    """In grid maps of real drives, every other cell of a wall as thin as a cell, seen from both sides, is unknown."""
+    cell, length = 0.05, 100
+    cells = np.zeros((80, 120), dtype=np.int8)
+    cells[[0, -1]] = cells[:, 0] = cells[:, -1] = 100
+    cells[40, 10 : 10 + length] = np.where(np.arange(length) % 2, -1, 100)
+    grid = Occupancy(cells, np.zeros(2), cell)
+    write_pgm(tmp_path / "map.pgm", grid)
+    write_pgm_yaml(tmp_path / "map.yaml", grid, "map.pgm")
+    walls = build_plan_map(read_plan(tmp_path / "map.yaml"), SIGMAS).walls
+    level = np.abs(np.sin(walls.frame[:, 2])) < 0.1
+    inner = np.flatnonzero(level & (np.abs(walls.frame[:, 1] - 40.5 * cell) < cell))
+    assert len(inner) == 2  # a side each
+    for row in inner.tolist():
+        assert np.ptp(walls.pieces[row], axis=1).sum() > 0.9 * length * cell
+
+
 def test_cells_of_a_grid_map_may_be_tiny(tmp_path: Path) -> None:
     """The map is then too small for a robot, but it is a map."""
     path = grid_map(tmp_path / "map.pgm")
@@ -228,7 +245,9 @@ def test_pieces_of_one_wall_are_joined_across_a_door(tmp_path: Path) -> None:
     assert len(walls) == 4
     (bottom,) = np.flatnonzero(np.abs(walls.frame[:, 2]) < 1e-9)
     np.testing.assert_allclose(walls.pieces[bottom] + walls.frame[bottom, 0], [[0, 2], [3, 6]], atol=0.25)
-    np.testing.assert_allclose(walls.covariance[bottom], np.diag([0.03**2, 0.005**2]), rtol=2e-3)
+    millimetre, length = 1e-3, 6.0  # each end of a line in a drawing is rounded to millimetres
+    expected = np.diag([0.03**2 + millimetre**2, 0.005**2 + 2.0 * (millimetre / length) ** 2])
+    np.testing.assert_allclose(walls.covariance[bottom], expected, rtol=1e-6)
 
 
 BAD_FILES = {
