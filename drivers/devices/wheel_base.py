@@ -19,19 +19,18 @@ from ..bases import (
     Odometer,
     WheelBase,
     WheelLine,
-    WheelReading,
     create2,
     kobuki,
 )
 from ..errors import NoResponseError
-from ..messages import Floats, Message
+from ..messages import Message
 from ..transport import Received, Transport
 from .device import READ_TIMEOUT, Device
-from .device_clock import DeviceClock
 from .device_spec import DeviceSpec
 from .driving import STOPPED, BaseDriver
-from .packet_stamper import MonotonicStamps, PacketCountClock
+from .packet_stamper import MonotonicStamps
 from .ports import connect
+from .reading_stamper import ReadingStamper
 
 REQUEST_RETRY_PERIOD = 1.0
 """Seconds after which the start request is repeated to a base that has not sent a reading yet: boards restart when a
@@ -41,8 +40,6 @@ WAKE_PULSE = 1.0
 """Seconds, an example of the manual of Create 2: three pulses shorter than half a second would change the baud rate."""
 POLL_TIMEOUT = 0.2
 """Seconds; a polled base responds within some milliseconds."""
-MAX_FRAME_SIZE = 256
-"""Bytes; more bytes between two readings are not one frame."""
 DEFAULT_TOP_SPEED = 1.5
 """m/s of a wheel of an unknown base: no small robot drives as fast."""
 DEFAULT_COUNTER_BITS = 32
@@ -113,7 +110,7 @@ class WheelBaseDevice(Device):
         self._monotonic = MonotonicStamps()
         self._protocol = self._kind.protocol(self._wheels)
         self._previous_counts: Counter[str] = Counter()  # counts of earlier connections
-        self._frame_size: int
+        self._stamper: ReadingStamper
         self._requested_at: float
         self._last_reading: float  # time of the last reading of this connection
         self._woken: bool  # on this connection
@@ -140,7 +137,7 @@ class WheelBaseDevice(Device):
 
     def start(self, transport: Transport, baud: int) -> None:
         """Request readings; `step` repeats the request until they arrive. A base that was driven is stopped."""
-        self._previous_counts += Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
+        self._previous_counts += Counter(asdict(self._protocol.counters)) + Counter(self._stamper.counters())
         self._reset_protocol(baud)
         self.identity = self._kind.name
         transport.write(self._protocol.start())
@@ -161,14 +158,12 @@ class WheelBaseDevice(Device):
 
     def feed(self, received: Received) -> list[Message]:
         """Return the odometry that the bytes complete."""
-        before = self._bytes
-        self._bytes += len(received.data)
         readings = self._protocol.feed(received.data)
         self._last_reading = received.time if readings else self._last_reading
-        if readings and before:
-            self._frame_size = min(self._frame_size, max(1, round(self._bytes / self._protocol.counters.good)))
-        stamps = self._monotonic.stamps(self._stamps(readings, received.time)).tolist()
-        return [message for pair in zip(readings, stamps, strict=True) if (message := self._odometer.add(*pair))]
+        ready = self._stamper.add(readings, len(received.data), received.time)
+        stamps = self._monotonic.stamps(np.array([stamp for _, stamp in ready], dtype=float)).tolist()
+        pairs = zip((reading for reading, _ in ready), stamps, strict=True)
+        return [message for pair in pairs if (message := self._odometer.add(*pair))]
 
     def halt(self, transport: Transport) -> None:
         """Stop the wheels if the base was driven, and the readings if the protocol allows it."""
@@ -178,20 +173,14 @@ class WheelBaseDevice(Device):
 
     def counters(self) -> dict[str, int]:
         """Return the counts of the protocol, the odometer and the clock."""
-        counts = self._previous_counts + Counter(asdict(self._protocol.counters)) + Counter(self._clock_counters())
+        counts = self._previous_counts + Counter(asdict(self._protocol.counters)) + Counter(self._stamper.counters())
         names = ("good", "bad", "skipped", "lost", "restarts", "clock_jumps", "clock_strays")
         return {name: counts[name] for name in names} | asdict(self._odometer.counters)
 
     def _reset_protocol(self, baud: int) -> None:
-        """Create a new protocol and clock for a new connection."""
+        """Create a new protocol and stamper for a new connection."""
         self._protocol = self._kind.protocol(self._wheels)
-        tick = self._protocol.tick
-        # Clocks wrap. A protocol with a tick but no wrap counts readings instead.
-        counts = tick is not None and self._protocol.wraps_at is None
-        self._count_clock = PacketCountClock(tick) if tick is not None and counts else None
-        self._clock = None if tick is None or counts else DeviceClock(tick, self._protocol.wraps_at)
-        self._baud, self._bytes = baud, 0
-        self._frame_size = MAX_FRAME_SIZE
+        self._stamper = ReadingStamper(self._protocol, baud)
         self._requested_at = time.monotonic()
         self._last_reading = -inf
         self._woken = False
@@ -205,24 +194,6 @@ class WheelBaseDevice(Device):
     def _drive(self, transport: Transport) -> None:
         if self._driver is not None:
             transport.write(self._driver.output(self._protocol, time.monotonic(), self._last_reading))
-
-    def _clock_counters(self) -> dict[str, int]:
-        clock = self._count_clock.clock if self._count_clock else self._clock
-        lost = self._count_clock.lost if self._count_clock else 0
-        return {"lost": lost} | ({"clock_jumps": clock.jumps, "clock_strays": clock.strays} if clock else {})
-
-    def _stamps(self, readings: list[WheelReading], arrived: float) -> Floats:
-        """Return stamps (n,) in seconds of readings that arrived together, as far as the clock is known."""
-        clock = self._count_clock.clock if self._count_clock else self._clock
-        if clock is None or not readings:
-            return np.full(len(readings), arrived)
-        # The last one was delayed least; the others are computed from it.
-        times = np.array([reading.time for reading in readings])
-        last = int(times[-1])
-        last_stamp = self._count_clock.stamp(last, arrived) if self._count_clock else clock.stamp(last, arrived)
-        ages = last - times if clock.wraps_at is None else np.mod(last - times, clock.wraps_at)
-        frame_size = self._frame_size if self._frame_size < MAX_FRAME_SIZE else 0
-        return np.asarray(last_stamp - ages * clock.tick * (1.0 + clock.drift) - frame_size * 10.0 / self._baud)
 
     def _poll(self, transport: Transport, period: float) -> tuple[Received, list[Message]]:
         """Poll one reading, stamped in the middle between request and response, and pause until the next one is due."""

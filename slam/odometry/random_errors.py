@@ -10,7 +10,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
-from .systematic_errors import MAX_STRAIGHT_TURN, NORMAL_MEDIAN, PRIOR_SAMPLES
+from .systematic_errors import NORMAL_MEDIAN, PRIOR_SAMPLES, is_turn
 
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
@@ -21,6 +21,9 @@ TURN_WALK = 0.04
 # Relative standard error of the median of squared normal variables, times the root of their number: 1 / (2 f(m) m) with
 # the median m and the density f. Origin: definition, chi-square, 1 dof.
 NORMAL_MEDIAN_ERROR = 2.33
+# Standard deviations beyond which an error is gross: a normal error exceeds it once in two million motions.
+# Origin: convention, five sigma.
+GROSS_ERROR = 5.0
 
 
 def estimate_rates(
@@ -56,19 +59,17 @@ def _observed_rates(corrected, registered, variances, travel, floors):  # type: 
         along[0, k], along[1, k] = (c * x + s * y) ** 2 / (NORMAL_MEDIAN * scale), noise / scale
         across[0, k], across[1, k] = (c * y - s * x) ** 2 / (NORMAL_MEDIAN * scale), noise / scale
         heading[k] = wrap_angle(registered[k, 2] - corrected[k, 2]) ** 2 / NORMAL_MEDIAN
-        if abs(corrected[k, 2]) <= MAX_STRAIGHT_TURN:
+        if not is_turn(corrected[k, 2], registered[k, 2]):
             noise = variances[k, 1] + floors[1] ** 2
             straight[0, straight_count], straight[1, straight_count] = heading[k] / travel[k], noise / travel[k]
             straight_count += 1
-    rates, counts = (
-        np.zeros(4),
-        np.array([float(count), float(count), float(straight_count), float(count - straight_count)]),
-    )
+    rates = np.zeros(4)
+    counts = np.array([count, count, straight_count, count - straight_count], dtype=np.float64)
     rates[0], rates[1] = _median_excess(along), _median_excess(across)
     rates[2] = _median_excess(straight[:, :straight_count])
     for k in range(count):
-        turn = abs(corrected[k, 2])
-        if turn > MAX_STRAIGHT_TURN:
+        if is_turn(corrected[k, 2], registered[k, 2]):
+            turn = abs(corrected[k, 2])
             noise = variances[k, 1] + floors[1] ** 2 + rates[2] * travel[k]
             turns[0, turn_count], turns[1, turn_count] = heading[k] / turn, noise / turn
             turn_count += 1
@@ -80,9 +81,12 @@ def _observed_rates(corrected, registered, variances, travel, floors):  # type: 
 def _median_excess(values):  # type: ignore[no-untyped-def]
     """Return the median of squared errors without the noise that is known, values (2, n): the squares, the noise.
 
+    A median changes little by gross errors, but the noise that is subtracted may be most of it: so they are left out.
     It is at least the standard error of the squares' median: less cannot be told from the noise.
     """
     count = values.shape[1]
     if not count:
         return 0.0
-    return max(np.median(values[0] - values[1]), NORMAL_MEDIAN_ERROR / math.sqrt(count) * np.median(values[0]))
+    kept = values[:, NORMAL_MEDIAN * values[0] <= GROSS_ERROR**2 * np.median(values[0])]
+    count = kept.shape[1]
+    return max(np.median(kept[0] - kept[1]), NORMAL_MEDIAN_ERROR / math.sqrt(count) * np.median(kept[0]))

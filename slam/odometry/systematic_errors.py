@@ -37,9 +37,9 @@ INITIAL_SPREAD = 0.1**2
 # Factor by which odometry may over- or underestimate turns; beyond, the wheels are faulty rather than miscalibrated.
 # Origin: chosen, well beyond calibration errors; not measured.
 MAX_TURN_FACTOR = 2.0
-# Radians: a motion that turns by less is used for the factor of length, for veering and for the heading of odometry's
-# frame, else for the factor of turning and the position of that frame. Origin: chosen, several times the heading error
-# of registration; not measured.
+# Radians: motions that turn by more, as measured and as registered, are used for the factor of turning and the position
+# of odometry's frame, all others for the factor of length, for veering and for the heading of that frame.
+# Origin: chosen, several times the heading error of registration; not measured.
 MAX_STRAIGHT_TURN = math.radians(4.0)
 # Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
 NORMAL_MEDIAN = 0.4549
@@ -103,6 +103,16 @@ class SystematicErrors:
 
 
 @compiled
+def is_turn(measured, registered):  # type: ignore[no-untyped-def]
+    """Return whether a motion is a turn, by its turns (radians) as measured and as registered.
+
+    One of them does not suffice. If wheels slip, most measured turns of a straight drive are errors, and the factor of
+    turning estimated from these would be zero; gross errors of registration look like turns, too.
+    """
+    return min(abs(measured), abs(registered)) > MAX_STRAIGHT_TURN
+
+
+@compiled
 def _corrected(motions, length, turning, veer, frame):  # type: ignore[no-untyped-def]
     """Return motions (n, 3) without systematic errors: first those of the wheels, then that of odometry's frame."""
     corrected = np.empty(motions.shape)
@@ -133,8 +143,7 @@ def _systematic_errors(samples):  # type: ignore[no-untyped-def]
     length, veer, skew, straight = np.empty(count), np.empty(count), np.empty(count), 0
     for k in range(count):
         ahead, left, turn = samples[k, 0], samples[k, 1], samples[k, 2]
-        # Selected by the measured turn, as keyframes are by measured motions: so errors of registration select nothing.
-        if abs(ahead) > MIN_MOTION_TRAVEL and abs(turn) <= MAX_STRAIGHT_TURN:
+        if abs(ahead) > MIN_MOTION_TRAVEL and not is_turn(turn, samples[k, 5]):
             extra = wrap_angle(samples[k, 5] - turn)
             length[straight] = samples[k, 3] / ahead - 1.0
             veer[straight] = extra / ahead
@@ -147,7 +156,7 @@ def _systematic_errors(samples):  # type: ignore[no-untyped-def]
     of_turn, x, y, turning = np.empty(count), np.empty(count), np.empty(count), 0
     for k in range(count):
         turn, actual = samples[k, 2], samples[k, 5]
-        if abs(turn) > MAX_STRAIGHT_TURN:
+        if is_turn(turn, actual):
             of_turn[turning] = wrap_angle(actual - means[2] * samples[k, 0]) / turn - 1.0
             half, scale = 0.5 * actual, (1.0 + means[0])
             c, s = math.cos(half), math.sin(half)

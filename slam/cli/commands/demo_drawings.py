@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...errors import MapError
+
 GRID_RESOLUTION = 0.05
 """Metres of a cell of the occupancy grid, as by default of `wclm map`."""
 FALSE_DISCOVERY_RATE = 0.05
@@ -46,3 +48,30 @@ def draw_changes(path: Path, old: Path, new: Path) -> None:
     before, after = (survey_session(run, read_session(run)) for run in (old, new))
     found = compare(before, after, FALSE_DISCOVERY_RATE)
     write_diff_svg(path, found, before.wall_map, after.wall_map)
+
+
+def draw_forbidden_loop(path: Path, session: Path) -> None:
+    """Draw what `wclm correct --forbid-loop` changes around the last closed loop of a run. Raises SlamError."""
+    from ...io.run_results import read_run_results
+    from ...io.sessions import read_session
+    from ...io.sessions.corrections import LoopForbidding
+    from ...loop_closure.loop_status import LoopStatus
+    from ...visualisation.plots.correction import plot_correction
+    from .correct_session import write_corrected_session
+
+    rows = [row for row in read_session(session).loop_decisions if row["status"] == LoopStatus.ACCEPTED]
+    if not rows:
+        raise MapError(f"{session}: no loop was closed")
+    loop, visits = int(rows[-1]["candidate"]), (int(rows[-1]["old"]), int(rows[-1]["keyframe"]))
+    corrected = session.with_name(f"{session.name}-corrected")
+    write_corrected_session(session, [LoopForbidding(loop=loop)], corrected, overwrite=False)
+    before, after = read_run_results(session), read_run_results(corrected)
+    moved = after.summary["corrections"][0]["shift"]
+    plot_correction(
+        path,
+        before,
+        after,
+        visits,
+        (f"loop {loop} is closed", f"loop {loop} is forbidden: keyframe {visits[1]} moves by {moved:.2f} m"),
+        title="A corridor that was driven twice, with and without the loop",
+    )

@@ -22,7 +22,7 @@ from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 from ..output_files import make_directory
 from .demo_buildings import draw_office_changes, draw_office_plan, draw_second_half
-from .demo_drawings import draw_changes, draw_grid, draw_measurements
+from .demo_drawings import draw_changes, draw_forbidden_loop, draw_grid, draw_measurements
 
 if TYPE_CHECKING:
     from drivers.messages import Source
@@ -55,7 +55,7 @@ RECORDINGS = {
 }
 """Public recordings (datasets/catalogue.toml) and their titles; files NAME/NAME.clf in the directory WCLM_DATASETS."""
 DRAWINGS: dict[str, dict[str, Callable[[Path, Path], None]]] = {
-    "intel": {"intel-grid.png": draw_grid},
+    "intel": {"intel-grid.png": draw_grid, "intel-corrections.png": draw_forbidden_loop},
     "csail": {"csail-measurements.svg": draw_measurements},
 }
 """Drawings of the same runs: files, and functions that write them from the results of the run."""

@@ -84,6 +84,25 @@ def test_systematic_errors_are_learned_and_corrected() -> None:
     np.testing.assert_array_equal(restored.systematic_errors.values, errors.values)
 
 
+@pytest.mark.parametrize("share_of_turns", [0.0, 0.3])
+@pytest.mark.parametrize("factor", [1.0, 1.2])
+def test_wheels_that_slip_on_straight_drives_do_not_change_the_factor_of_turning(
+    share_of_turns: float, factor: float
+) -> None:
+    """Measure turns of some degrees on straight drives, where the registered ones are zero."""
+    random, model, slip, turning = np.random.default_rng(0), OdometryModel(OdometryConfig()), 0.1, 0.05
+    for _ in range(400):
+        turn = random.choice([-1, 1]) * random.uniform(0.2, 0.5) if random.uniform() < share_of_turns else 0.0
+        travel = random.uniform(0.2, 0.5)
+        error = np.hypot(slip * np.sqrt(travel), turning * np.sqrt(abs(turn))) * random.normal()
+        registered = arc(travel, turn) + random.normal(0, [3e-3, 3e-3, 3e-3])
+        model.add_motion(arc(travel, turn / factor + error), registered, np.diag([1e5, 1e5, 1e5]))
+    errors = model.systematic_errors
+    expected = factor if share_of_turns else 1.0
+    assert abs(errors.turning - expected) < 3.0 * np.sqrt(errors.variances[1])
+    assert model.deviations[2] == pytest.approx(slip, rel=0.3)
+
+
 def test_corrected_motions_add_up() -> None:
     """Correct a motion in one piece and in two: arcs of the same curvature."""
     errors = SystematicErrors(0.97, 1.0, 0.0, np.array([-0.1, 0.04, 0.03]), np.zeros(6))

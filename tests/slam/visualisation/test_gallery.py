@@ -75,6 +75,7 @@ def test_recordings_are_drawn_where_they_are(tmp_path: Path) -> None:
     assert with_it - {name for pictures in demo_pictures.picture_sets(None) for name in pictures.files} == {
         "intel.png",
         "intel-grid.png",
+        "intel-corrections.png",
     }
 
 

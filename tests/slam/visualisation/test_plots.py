@@ -10,9 +10,12 @@ from slam.cli.commands.demo_pictures import ClosureRecorder
 from slam.errors import MapError, OutputError
 from slam.evaluation.metrics import Relations, score_reference, score_relations
 from slam.events import Correction, Finished, LoopDecided, MapUpdated
+from slam.io.keyframes_csv import Keyframes
+from slam.io.run_results import RunResults
 from slam.io.tum import Trajectory
 from slam.loop_closure.loop_status import LoopStatus
 from slam.visualisation.plots import plot_map, plot_reference, plot_relations, plot_scan
+from slam.visualisation.plots.correction import plot_correction
 
 
 def size(path: Path) -> tuple[int, int]:
@@ -116,3 +119,15 @@ def test_the_closure_that_moved_the_robot_most_is_drawn(tmp_path: Path, finished
     assert recorder.decided.shift == 1.5
     recorder.plot(tmp_path / "closure.png")
     assert min(size(tmp_path / "closure.png")) > 500
+
+
+def test_a_map_is_drawn_before_and_after_a_correction(tmp_path: Path, finished: Finished) -> None:
+    keyframes = Keyframes(finished.keyframe_stamps, finished.keyframes, np.zeros((len(finished.keyframes), 3, 3)))
+    trajectory = Trajectory(finished.stamps, finished.poses)
+    results = RunResults(tmp_path, finished.walls, finished.corners, trajectory, {}, keyframes)
+    plot_correction(tmp_path / "a.png", results, results, (0, 1), ("before", "after"), title="a correction")
+    width, height = size(tmp_path / "a.png")
+    assert width > 1.5 * height > 500
+    with pytest.raises(ValueError, match="no keyframes"):
+        plot_correction(tmp_path / "b.png", results, replace(results, keyframes=None), (0, 1), ("", ""), title="")
+    assert not (tmp_path / "b.png").exists()
