@@ -62,9 +62,9 @@ def _lines(result: Calibration) -> list[str]:
     bias, bias_sigma = result.range_bias
     return [
         f"mount     {x:.4f} ± {sigma[0]:.4f} m, {y:.4f} ± {sigma[1]:.4f} m, {heading:.4f} ± {sigma[2]:.4f} rad",
-        f"distance  {wheels.distance_scale:.4f} ± {sigma[3]:.4f} m per metre of odometry",
-        f"turn      {wheels.turn_scale:.4f} ± {sigma[4]:.4f} rad per radian of odometry",
-        f"pull      {wheels.curvature_bias:.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
+        f"length    {wheels.length:.4f} ± {sigma[3]:.4f} m per metre of odometry",
+        f"turning   {wheels.turning:.4f} ± {sigma[4]:.4f} rad per radian of odometry",
+        f"veer      {wheels.veer:.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
         f"bias      {bias:.4f} ± {bias_sigma:.4f} m of the ranges",
         f"data      {result.pairs} motions between keyframes, {result.turned:.0f} rad of rotation",
         f"lidar: mount={x:.4f},{y:.4f},{heading:.4f}",
@@ -86,7 +86,7 @@ def _timing_lines(timing: RecordingTiming) -> list[str]:
 def _options(result: Calibration, wheel_radius: float, track: float) -> str:
     """Return the corrected options of the base: the radius of each wheel and the track."""
     wheels = result.odometry
-    true_track = track * wheels.distance_scale / wheels.turn_scale
-    half = wheels.curvature_bias * true_track / 2
-    left, right = wheel_radius * (wheels.distance_scale - half), wheel_radius * (wheels.distance_scale + half)
+    true_track = track * wheels.length / wheels.turning
+    half = wheels.veer * true_track / 2
+    left, right = wheel_radius * (wheels.length - half), wheel_radius * (wheels.length + half)
     return f"base: wheel_radius={left:.5f},{right:.5f}&track={true_track:.4f}"

@@ -6,7 +6,9 @@ Each scan is registered against the map, so the lidar's motion M from one keyfra
 the odometry. The base's motion B is that of the odometry with three corrections: for each small motion of length ds and
 turn dth that odometry reports,
 
-    ds' = distance_scale ds,    dth' = turn_scale dth + curvature_bias ds.
+    ds' = length ds,    dth' = turning dth + veer ds,
+
+with the factors of the same names in `slam.odometry.systematic_errors`.
 
 The mount T relates the two, M = T^-1 B T. The six unknowns are estimated by robust least squares over all pairs of
 consecutive keyframes. A mount with a large error degrades the registration, so the drive is mapped again with the
@@ -46,22 +48,22 @@ NORMAL_MAD = 1.4826
 class OdometryCorrection:
     """Correction of the odometry's systematic errors.
 
-    distance_scale  true metres per metre of odometry
-    turn_scale      true radians per radian of odometry
-    curvature_bias  radians turned per metre of odometry that odometry does not report, since the wheels differ
+    length   true metres per metre of odometry
+    turning  true radians per radian of odometry
+    veer     radians turned to the left per metre of odometry that odometry does not report, since the wheels differ
     """
 
-    distance_scale: float = 1.0
-    turn_scale: float = 1.0
-    curvature_bias: float = 0.0
+    length: float = 1.0
+    turning: float = 1.0
+    veer: float = 0.0
 
     def apply(self, poses: Floats) -> Floats:
         """Return the corrected odometry poses (n, 3), with the same first pose and unwrapped headings."""
         motion = se2.between(poses[:-1], poses[1:])
         chord_ratio = np.sinc(motion[:, 2] / (2 * np.pi))  # of an arc's chord to its length
-        length = np.copysign(np.hypot(motion[:, 0], motion[:, 1]), motion[:, 0]) / chord_ratio
-        turn = self.turn_scale * motion[:, 2] + self.curvature_bias * length
-        chord = self.distance_scale * length * np.sinc(turn / (2 * np.pi))
+        arc = np.copysign(np.hypot(motion[:, 0], motion[:, 1]), motion[:, 0]) / chord_ratio
+        turn = self.turning * motion[:, 2] + self.veer * arc
+        chord = self.length * arc * np.sinc(turn / (2 * np.pi))
         heading = poses[0, 2] + np.concatenate([[0.0], np.cumsum(turn)])
         steps = chord[:, None] * np.column_stack([np.cos(heading[:-1] + turn / 2), np.sin(heading[:-1] + turn / 2)])
         return np.column_stack([poses[0, :2] + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]), heading])
@@ -73,7 +75,7 @@ class Calibration:
 
     mount       (3,) [x, y, heading] of the lidar on the base
     odometry    correction of the odometry
-    sigma       (6,) standard errors of x, y, heading, distance_scale, turn_scale, curvature_bias
+    sigma       (6,) standard errors of x, y, heading, length, turning, veer
     pairs       number of pairs of keyframes used
     turned      radians turned in total
     range_bias  range bias and its standard error, metres
@@ -142,7 +144,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     def scaled_residuals(unknowns: Floats, sigma: Floats) -> Floats:
         return np.asarray((residuals(unknowns) / sigma).ravel())
 
-    start = [*mount, correction.distance_scale, correction.turn_scale, correction.curvature_bias]
+    start = [*mount, correction.length, correction.turning, correction.veer]
     fit = least_squares(scaled_residuals, start, args=(np.ones(3),))
     noise = NORMAL_MAD * np.median(np.abs(residuals(fit.x)), axis=0)
     fit = least_squares(scaled_residuals, fit.x, loss="soft_l1", f_scale=ROBUST_SIGMAS, args=(noise,))

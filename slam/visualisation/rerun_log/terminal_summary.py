@@ -13,6 +13,7 @@ from typing import Any
 from rerun.chunk import Chunk
 
 from ...errors import MapError
+from ...formatting import counted, percent
 from ...io.output_dir import SUMMARY
 from ...loop_closure.loop_status import LoopStatus
 from ..report_page.loop_text import by_margin, loops_text, returns_text
@@ -23,6 +24,8 @@ from .status_layer import ENTITY as STATUS_ENTITY
 
 NOT_APPLIED = (LoopStatus.REJECTED,)
 SHOWN_REJECTED = 5
+SCAN_COUNTS = {"slipped": "slipped", "failed": "failed", "no_features": "without features", "lost": "LOST"}
+"""Words for the counts of scans under `health`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +75,19 @@ def _health(data: SessionData) -> Iterator[str]:
     slam = data.summary.get("slam") or {}
     health = slam.get("health") or {}
     if health:
-        overlap_ratio = 100 * (health.get("overlap_ratio_median") or 0.0)
-        counts = ", ".join(f"{health.get(name, 0)} {name}" for name in ("slipped", "failed", "no_features", "lost"))
-        yield f"health      overlap ratio {overlap_ratio:.0f} % (median of the scans); scans: {counts}"
+        overlap_ratio = percent(health.get("overlap_ratio_median") or 0.0)
+        counts = ", ".join(f"{health.get(key, 0)} {text}" for key, text in SCAN_COUNTS.items())
+        yield f"health      overlap ratio {overlap_ratio} (median of the scans); scans: {counts}"
     else:
         shares = [row.values["Scalars:scalars"][0] for row in rows(data.chunks, "/metrics/overlap_ratio")]
         known = sorted(share for share in shares if not math.isnan(share))
         if known:
-            yield f"health      overlap ratio {100 * known[len(known) // 2]:.0f} % (median of the keyframes)"
+            yield f"health      overlap ratio {percent(known[len(known) // 2])} (median of the keyframes)"
     changes = [row.values["StateChange:state"][0] for row in rows(data.chunks, f"/{STATUS_ENTITY}")]
     counts_by_status = Counter(status for status in changes if status != "OK")
-    states = ", ".join(f"{count} times {status}" for status, count in counts_by_status.items()) or "OK throughout"
+    states = (
+        ", ".join(f"{counted(count, 'time')} {status}" for status, count in counts_by_status.items()) or "OK throughout"
+    )
     if changes:
         yield f"status      {states}"
     review = data.summary.get("review") or {}

@@ -221,12 +221,12 @@ def test_damaged_files_raise_only_recording_errors(tmp_path: Path, short_file: b
     path.write_bytes(content)
     source = McapReader(path)
     assert len(source) >= 0
-    start = time.monotonic()
+    start = time.process_time()  # other programs do not count
     try:
         messages = list(source)
     except RecordingError:
         return
     finally:
-        assert time.monotonic() - start < 10
+        assert time.process_time() - start < 10
     stamps = [message.stamp for message in messages]
     assert stamps == sorted(stamps)

@@ -28,9 +28,7 @@ def true_values(simulation: Simulation) -> np.ndarray:
 
 
 def values(found: Calibration) -> np.ndarray:
-    return np.array(
-        [*found.mount, found.odometry.distance_scale, found.odometry.turn_scale, found.odometry.curvature_bias]
-    )
+    return np.array([*found.mount, found.odometry.length, found.odometry.turning, found.odometry.veer])
 
 
 def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
@@ -55,7 +53,7 @@ def test_standard_errors_are_consistent() -> None:
 
 def test_correction_undoes_wrong_wheels() -> None:
     steps = np.array([[0.1, 0.0, 0.0], [0.1, 0.01, 0.2], [-0.1, 0.01, -0.2], [0.0, 0.0, 0.3]])
-    correction = OdometryCorrection(distance_scale=1.02, turn_scale=0.95, curvature_bias=0.01)
+    correction = OdometryCorrection(length=1.02, turning=0.95, veer=0.01)
     poses = np.zeros((5, 3))
     for k, (length, _, turn) in enumerate(steps):
         heading = poses[k, 2]

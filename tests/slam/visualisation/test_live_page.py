@@ -32,7 +32,7 @@ from slam.visualisation.live_page.live_state import MAX_MESSAGES, MAX_POINTS
 from slam.visualisation.live_page.requests import MAX_COMMAND_DELAY
 
 from ..browser import browser
-from .test_report_page import CHROMIUM, in_a_browser
+from ..chromium import CHROMIUM, in_a_browser
 
 POSE = np.array([1.0, 2.0, 0.5])
 

@@ -12,7 +12,8 @@ from slam.io.output_dir import SESSION
 from slam.io.sessions.session import HEADER
 from slam.visualisation.report_page import write_page
 
-from .test_report_page import in_a_browser, make, page, render
+from ..chromium import in_a_browser, render
+from .report_pages import make, page
 
 PROBE = """
 <script>
