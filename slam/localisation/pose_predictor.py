@@ -14,11 +14,9 @@ from ..matching.point_matcher import PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, ScanClock, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
+from .slip_statistics import SlipStatistics
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 
-# Cost, minus the logarithm of the probability, of odometry failing from one scan to the next.
-# Origin: chosen, once in twenty scans that fit badly; not measured.
-SLIP_COST = 3.0
 # Seconds for which an even motion is predicted while odometry fails. After that time the robot may have any velocity.
 # Without odometry there is no such limit: nothing else is known of the motion. Origin: definition, the time in which
 # ACCELERATIONS lead to MAX_VELOCITIES.
@@ -44,7 +42,7 @@ class PosePredictor:
         self._since_slip = 0.0  # seconds
         self._since_fix: float | None = None  # seconds; None if no slip is possible
         self._clock, self._velocity = ScanClock(), VelocityFilter()
-        self._prediction_error = PredictionError()
+        self._prediction_error, self._slips = PredictionError(), SlipStatistics()
 
     @property
     def fix(self) -> PoseFix | None:
@@ -74,7 +72,8 @@ class PosePredictor:
         return TrackerState(
             self._fix, self._reference, self._since_fix, self._clock.last, self._clock.intervals,
             self._velocity.velocity, self._velocity.variances,
-            self._prediction_error.variances, self._prediction_error.scans, last_score,
+            self._prediction_error.variances, self._prediction_error.scans,
+            self._slips.scans, self._slips.slips, last_score,
         )  # fmt: skip
 
     def restore(self, state: TrackerState) -> None:
@@ -83,6 +82,7 @@ class PosePredictor:
         self._since_fix, self._clock = state.since_fix, ScanClock(state.scan_stamp, state.intervals)
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
         self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
+        self._slips = SlipStatistics(state.scans, state.slips)
 
     def extrapolate(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
@@ -134,6 +134,7 @@ class PosePredictor:
         assert self._fix is not None
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
+        self._slips.add(slipped=result.slipped)
         self._fix, self._since_fix = fix, 0.0
         if result.slipped and self.model.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
@@ -144,7 +145,7 @@ class PosePredictor:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
         assert self._reference is not None
-        slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, SLIP_COST)
+        slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, self._slips.cost)
         if not self.model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
             slip = replace(slip, information=information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
             sigmas = self._velocity.deviations(self._since_fix or 0.0) + PREDICTION_SIGMAS

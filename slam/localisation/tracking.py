@@ -104,6 +104,8 @@ class TrackerState:
     velocity_variances  (3,)
     prediction_variances  (3,) see `PredictionError`
     prediction_scans  number of scans that they rest on
+    scans       number of tracked scans, see `SlipStatistics`
+    slips       number of those before which odometry failed
     last_score  match score of the last tracked scan
     """
 
@@ -116,6 +118,8 @@ class TrackerState:
     velocity_variances: Floats
     prediction_variances: Floats
     prediction_scans: int
+    scans: int
+    slips: int
     last_score: float
 
     @classmethod
@@ -123,5 +127,5 @@ class TrackerState:
         """Return the state of a robot of which nothing but the pose is known."""
         velocity, error = VelocityFilter(), PredictionError()
         return cls(
-            fix, fix, None, None, (), velocity.velocity, velocity.variances, error.variances, error.scans, 0.0
+            fix, fix, None, None, (), velocity.velocity, velocity.variances, error.variances, error.scans, 0, 0, 0.0
         )  # fmt: skip

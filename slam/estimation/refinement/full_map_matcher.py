@@ -16,7 +16,7 @@ from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
 from ...localisation.match_target import MatchTarget
 from ...localisation.moving_objects import match_without_moving
-from ...localisation.pose_predictor import SLIP_COST
+from ...localisation.slip_statistics import SlipStatistics
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.bias_correction import correct_range_bias_of_scans
@@ -86,6 +86,7 @@ class FullMapMatcher:
         self._neighbours, self._motions_to, self._motion_informations = _from_neighbours(
             *self.motions.known(odometry_wrong), self.motions.unmeasured
         )
+        self._slip_cost = SlipStatistics(len(history), int(odometry_wrong.sum())).cost
         self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._informations = history.informations + self._unmatched
         self._features = correct_range_bias_of_scans([scan.features for scan in history.scans], range_bias)
@@ -114,7 +115,7 @@ class FullMapMatcher:
         scan = self.features(row)
         target = MatchTarget(local_map, self._field(int(self._history.anchors[row])), self._roughness)
         present = Prediction(poses[row], self._prior(row, poses))
-        cost = 0.0 if self._odometry_wrong[row] else SLIP_COST
+        cost = 0.0 if self._odometry_wrong[row] else self._slip_cost
         even = Prediction(self._interpolate(row, poses), self._unmatched, cost)
         predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
         match = target.match(scan, predictions, exhaustive=True)

@@ -24,7 +24,7 @@ from .agreement import AgreementRecord, agreement_record
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
 
 FORMAT = "wclm-slam session"
-SESSION_VERSION = 8
+SESSION_VERSION = 9
 
 
 class Recording(Record):
@@ -75,6 +75,8 @@ class _Tracker(Record):
     velocity_variances: tuple[Finite, Finite, Finite]
     prediction_variances: tuple[_Variance, _Variance, _Variance]
     prediction_scans: int = Field(ge=0)
+    scans: int = Field(ge=0)
+    slips: int = Field(ge=0)
     last_score: Finite
 
 
@@ -223,6 +225,8 @@ def _tracker_record(state: TrackerState) -> _Tracker:
         velocity_variances=to_pose(state.velocity_variances),
         prediction_variances=to_pose(state.prediction_variances),
         prediction_scans=state.prediction_scans,
+        scans=state.scans,
+        slips=state.slips,
         last_score=state.last_score,
     )
 
@@ -234,7 +238,7 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     return TrackerState(
         fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),
         np.array(record.velocity_variances), np.array(record.prediction_variances), record.prediction_scans,
-        record.last_score,
+        record.scans, record.slips, record.last_score,
     )  # fmt: skip
 
 

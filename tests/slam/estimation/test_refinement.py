@@ -25,7 +25,7 @@ from slam.events import GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
 from slam.localisation.match_target import MatchTarget, ScanMatch
-from slam.localisation.pose_predictor import SLIP_COST
+from slam.localisation.slip_statistics import SlipStatistics
 from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
@@ -166,7 +166,8 @@ def test_an_even_motion_costs_as_much_as_a_slip(
     seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
     present, even, *_ = seen  # a match without some objects may follow
-    assert (present.cost, even.cost) == (0.0, 0.0 if known_wrong else SLIP_COST)
+    of_slip = SlipStatistics(scans=len(history), slips=0).cost
+    assert (present.cost, even.cost) == (0.0, 0.0 if known_wrong else of_slip)
     np.testing.assert_allclose(even.pose, middle, atol=0.05)
 
 

@@ -220,7 +220,7 @@ def test_directory_without_session_is_refused(tmp_path: Path) -> None:
         read_session(tmp_path / "nowhere")
 
 
-@pytest.mark.parametrize("version", [4, 7, 9, None, "7\n"])
+@pytest.mark.parametrize("version", [4, 8, 10, None, "8\n"])
 def test_session_of_another_version_is_refused(
     written: tuple[StoredSession, Path], tmp_path: Path, version: object
 ) -> None:
@@ -229,7 +229,7 @@ def test_session_of_another_version_is_refused(
     header.write_text(json.dumps(json.loads(header.read_text()) | {"version": version}))
     stated = re.escape(repr(version))
     with pytest.raises(
-        MapError, match=rf"session.json: has format version {stated}; this program reads version 8 only"
+        MapError, match=rf"session.json: has format version {stated}; this program reads version 9 only"
     ):
         read_session(path)
 
