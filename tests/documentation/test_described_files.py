@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import re
 
-from slam.io.sessions.header import SessionHeader
+from slam.io.sessions.header import SESSION_VERSION, SessionHeader
 
 from .blocks import ROOT
 
+PAGE = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
+
+
+def test_the_stated_version_of_sessions_is_the_present_one() -> None:
+    stated = re.findall(r"`version` (\d+); a program", PAGE) + re.findall(r"this one reads version (\d+) only", PAGE)
+    assert stated == [str(SESSION_VERSION)] * 2
+
 
 def test_the_header_of_a_session_is_described_completely() -> None:
-    page = (ROOT / "docs" / "results.md").read_text(encoding="utf-8")
-    described = set(re.findall(r"`([a-z_0-9]+)`", page))
+    described = set(re.findall(r"`([a-z_0-9]+)`", PAGE))
     schema = SessionHeader.model_json_schema(mode="validation")
     stored = {key for record in (schema, *schema["$defs"].values()) for key in record["properties"]}
     assert "scan_stamp" in stored
