@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
@@ -24,6 +25,26 @@ Result = TypeVar("Result")
 
 IMPORT = re.compile(r"^(?:from +(\.*)([\w.]*) +import +(\([^)]*\)|.*)|import +([\w., ]+))", re.MULTILINE)
 """Import statement at module level, with the groups dots, module and names (`from`), or modules (`import`)."""
+
+
+def _import_array_functions() -> None:
+    """Import numba's functions of arrays without SciPy's linear algebra.
+
+    Before the first compiled function runs, numba imports both to find out if there is BLAS. That takes a sixth of a
+    second and 16 MB, and no function of this project calls it: products of small matrices are written out. A function
+    of another program that calls BLAS imports it when it is compiled.
+    """
+    if "scipy.linalg" in sys.modules:
+        return
+    sys.modules["scipy.linalg"] = None  # type: ignore[assignment]  # an import of it fails
+    try:
+        from numba.np import arraymath
+    finally:
+        del sys.modules["scipy.linalg"]
+    arraymath._HAVE_BLAS = True  # it can be imported from now on
+
+
+_import_array_functions()
 
 
 def compiled(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:

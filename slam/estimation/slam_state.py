@@ -305,7 +305,7 @@ class SlamState:
         for keyframe in range(count):
             self.local_field.add(scans[keyframe].features)
         if field is not None:
-            self.local_field.restore(replace(field, inserted=(), inserted_poses=np.zeros((0, 3))))
+            self.local_field.restore(replace(field, inserted=(), inserted_poses=np.zeros((0, 3)), successor=None))
         self.update_local_field()
         reach = scans[count - 1].features.segments.reach()
         self.local_map = self.mapper.local_map_at(self.pose, LOCAL_MAP_MARGIN + reach)

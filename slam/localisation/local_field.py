@@ -18,10 +18,14 @@ from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import ScanFeatures
 from ..matching.point_matcher import POINT_SPACING
 from ..matching.scan_points import surface_points
+from .field_successor import FieldSuccessor, FieldSuccessorState
 
-# Metres from the middle of the field at which it is built anew. Origin: chosen, a small part of its half width; not
-# measured.
+# Metres from the middle of the field at which its successor is begun. Origin: chosen, a small part of its half width;
+# not measured.
 MAX_CENTRE_DISTANCE = 8.0
+# Metres from the middle of the field at which it is built anew at once, as the robot is where no successor was built in
+# time. Origin: chosen, a multiple of what the robot drives while a successor is built; not measured.
+FAR_FROM_CENTRE = 2.0 * MAX_CENTRE_DISTANCE
 # Metres between keyframes along the drive, or along links between keyframes that saw the same place, up to which their
 # relative pose is well known. Origin: chosen, odometry and walls drift by less than a cell in it; not measured.
 MAX_PATH = 20.0
@@ -43,6 +47,7 @@ class LocalFieldState:
     gaps            metres by which the way to a keyframe counts as longer, by keyframe; see `LocalField.add`
     inserted        keyframes whose points are in the field, in the order in which they were inserted
     inserted_poses  (k, 3) at which they were inserted
+    successor       state of the field that will take its place; None if there is none
     """
 
     centre: Floats
@@ -50,6 +55,7 @@ class LocalFieldState:
     gaps: Mapping[int, float]
     inserted: Sequence[int]
     inserted_poses: Floats
+    successor: FieldSuccessorState | None = None
 
 
 class LocalField:
@@ -62,6 +68,7 @@ class LocalField:
         self._gaps: dict[int, float] = {}
         self._inserted: Integers = np.zeros(0, dtype=np.int64)  # keyframes whose points are in the field
         self._inserted_poses: Floats = np.zeros((0, 3))  # at which they were inserted
+        self._successor: FieldSuccessor | None = None  # takes the place of the field once it is complete
         self._linked = True  # True if other keyframes may have become near
         self._outdated = False  # True if some of the keyframes in the field may be near no longer
 
@@ -73,13 +80,15 @@ class LocalField:
         other._gaps = dict(self._gaps)
         other._outdated = self._outdated
         other._inserted, other._inserted_poses = self._inserted, self._inserted_poses  # replaced, never changed
+        other._successor = copy.deepcopy(self._successor)
         return other
 
     @property
     def state(self) -> LocalFieldState:
         """State to be saved."""
         links, inserted = tuple(self._links), tuple(self._inserted.tolist())
-        return LocalFieldState(self.field.centre, links, dict(self._gaps), inserted, self._inserted_poses)
+        successor = None if self._successor is None else self._successor.state
+        return LocalFieldState(self.field.centre, links, dict(self._gaps), inserted, self._inserted_poses, successor)
 
     def restore(self, state: LocalFieldState) -> None:
         """Continue from a saved state, after the points of all keyframes have been added.
@@ -90,6 +99,8 @@ class LocalField:
         self._links, self._gaps = list(state.links), dict(state.gaps)
         self._inserted, self._inserted_poses = np.array(state.inserted, dtype=np.int64), state.inserted_poses
         self.field.insert_scans(self._inserted_poses, self.points_of(self._inserted))
+        saved = state.successor
+        self._successor = None if saved is None else FieldSuccessor.restored(saved, self._points)
 
     @property
     def inserted(self) -> Integers:
@@ -153,6 +164,7 @@ class LocalField:
         """Empty the field: the next keyframe may be anywhere."""
         self.field, self._linked = DistanceField.empty(self.field.centre), True
         self._inserted, self._inserted_poses = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+        self._successor = None
 
     def link(self, keyframe: int, other: int) -> None:
         """State that two keyframes saw the same place, so that their relative pose is well known."""
@@ -188,27 +200,42 @@ class LocalField:
         return around[~np.isin(around, self._inserted)]
 
     def update(self, keyframe: int, poses: Floats, travelled: Sequence[float]) -> None:
-        """Insert new keyframes; build the field anew if the robot, at `keyframe`, is far from its middle.
+        """Insert new keyframes; if keyframes have been linked, also those that are near by the links.
 
-        It is also built anew if poses have changed. If keyframes have been linked, those that are near by the links are
-        inserted.
+        If the robot, at `keyframe`, has left the field's middle, a field around it takes its place after some updates.
+        If poses have changed, or keyframes are near no longer, the field is built anew at once.
         poses      (k, 3) of all keyframes in the map
         travelled  metres driven up to each keyframe
         """
-        moved = _largest_shift(poses, self._inserted, self._inserted_poses)
-        left = self.field.centre_distance(poses[keyframe]) > MAX_CENTRE_DISTANCE
-        if moved > MAX_DISPLACEMENT or left or self._outdated:
+        from_centre = self.field.centre_distance(poses[keyframe])
+        moved = _largest_shift(poses, self._inserted, self._inserted_poses) > MAX_DISPLACEMENT
+        if moved or self._outdated or from_centre > FAR_FROM_CENTRE:
             self.field, self._inserted, self._linked = self.field.cleared(poses[keyframe]), self._inserted[:0], True
-            self._outdated = False
-        if self._linked:
-            near, self._linked = self._near(keyframe, travelled), False
-            new = near[~np.isin(near, self._inserted)]
-        else:
-            new = np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
+            self._outdated, self._successor = False, None
+        elif from_centre > MAX_CENTRE_DISTANCE and self._successor is None:
+            self._successor = FieldSuccessor.around(poses[keyframe], self._near(keyframe, travelled))
+        new = self._new_keyframes(keyframe, travelled)
         self.field.insert_scans(poses[new], self.points_of(new))
         before = self._inserted_poses[: len(self._inserted)]
         self._inserted = np.concatenate([self._inserted, new])
         self._inserted_poses = np.concatenate([before, poses[new]])
+        if self._successor is not None:
+            self._successor.add(new)
+            self._build_successor(self._successor, poses)
+
+    def _new_keyframes(self, keyframe: int, travelled: Sequence[float]) -> Integers:
+        """Return the keyframes to be inserted: those added since the last update, and those near by new links."""
+        if not self._linked:
+            return np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
+        near, self._linked = self._near(keyframe, travelled), False
+        return near[~np.isin(near, self._inserted)]
+
+    def _build_successor(self, successor: FieldSuccessor, poses: Floats) -> None:
+        """Insert the next keyframes into the successor, which takes the place of the field if it is complete then."""
+        successor.step(poses, self._points)
+        if successor.complete:
+            self.field, self._inserted, self._inserted_poses = successor.field, successor.keyframes, successor.poses
+            self._successor = None
 
     def _near(self, keyframe: int, travelled: Sequence[float]) -> Integers:
         """Return the keyframes within MAX_PATH of one, along the drive and the links, in ascending order."""

@@ -12,6 +12,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
+from ..geometry.small_matrices import solve
 from .map_descriptor import MapDescriptor
 
 # Metres across between two matched walls, for each Gauss-Newton step; the last step only scores.
@@ -134,15 +135,26 @@ def _align_submap(  # type: ignore[no-untyped-def]
                 offset = across + shared * math.sin(turned)
                 if high <= low or abs(offset) > SUBMAP_OFFSET_GATES[step]:
                     continue
-                variance = _relative_covariance(covariances[i], shared, wall_covariances[j], along + shared, high - low)
+                w_across, w_both, w_turn = _relative_information(
+                    covariances[i], shared, wall_covariances[j], along + shared, high - low
+                )
                 taper = (1 - (offset / SUBMAP_OFFSET_GATES[step]) ** 2) * (
                     1 - (turned / SUBMAP_HEADING_GATES[step]) ** 2
                 )  # Tukey's biweight
-                weight = taper**2 * np.linalg.inv(variance)
+                weight = taper**2
                 px, py = lever[0] + shared * math.cos(heading), lever[1] + shared * math.sin(heading)
-                jacobian = np.array([[nx, ny, px * ny - py * nx], [0.0, 0.0, 1.0]])
-                information += jacobian.T @ weight @ jacobian
-                gradient += jacobian.T @ weight @ np.array([offset, turned])
+                by_turn = px * ny - py * nx  # the derivatives of the offset by the pose are (nx, ny, by_turn)
+                both = w_across * by_turn + w_both
+                information[0, 0] += weight * w_across * nx * nx
+                information[0, 1] += weight * w_across * nx * ny
+                information[1, 1] += weight * w_across * ny * ny
+                information[0, 2] += weight * both * nx
+                information[1, 2] += weight * both * ny
+                information[2, 2] += weight * (both * by_turn + w_both * by_turn + w_turn)
+                force = weight * (w_across * offset + w_both * turned)
+                gradient[0] += force * nx
+                gradient[1] += force * ny
+                gradient[2] += force * by_turn + weight * (w_both * offset + w_turn * turned)
                 if not last:
                     continue
                 _mark_matched_samples(
@@ -150,8 +162,13 @@ def _align_submap(  # type: ignore[no-untyped-def]
                 )
                 if high - low > most[i]:
                     most[i], matches[i] = high - low, j
+        information[1, 0], information[2, 0], information[2, 1] = (
+            information[0, 1],
+            information[0, 2],
+            information[1, 2],
+        )
         if not last:
-            pose -= np.linalg.solve(information, gradient)
+            pose -= solve(information, gradient)
     return pose, information, matches, on_map
 
 
@@ -168,16 +185,19 @@ def _find_near_walls(start, frames, halves, walls, wall_halves):  # type: ignore
 
 
 @compiled
-def _relative_covariance(own, at, other, there, length):  # type: ignore[no-untyped-def]
-    """Return the covariance (2, 2) of offset and heading between two walls at the middle of their overlap.
+def _relative_information(own, at, other, there, length):  # type: ignore[no-untyped-def]
+    """Return the information on offset and heading between two walls at the middle of their overlap.
 
+    That is the inverse of the covariance (2, 2): of the offset, of both, and of the heading.
     `at` and `there` are metres from the walls' frames to it, `length` is that of the overlap.
     """
     v00 = own[0, 0] + 2 * at * own[0, 1] + at**2 * own[1, 1]
     v00 += other[0, 0] + 2 * there * other[0, 1] + there**2 * other[1, 1]
     v01 = own[0, 1] + at * own[1, 1] + other[0, 1] + there * other[1, 1]
     v11 = own[1, 1] + other[1, 1] + 12 * WALL_DIFFERENCE_SIGMA**2 / max(length, SAMPLE_SPACING) ** 2
-    return np.array([[v00 + WALL_DIFFERENCE_SIGMA**2, v01], [v01, v11]])
+    v00 += WALL_DIFFERENCE_SIGMA**2
+    determinant = v00 * v11 - v01 * v01
+    return v11 / determinant, -v01 / determinant, v00 / determinant
 
 
 @compiled

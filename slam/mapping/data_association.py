@@ -17,6 +17,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
+from ..geometry.small_matrices import bilinear_form, mahalanobis_squared, quadratic_form
 from .local_map import (
     MAX_HEADING_DIFFERENCE,
     MAX_OFFSET,
@@ -151,8 +152,6 @@ def _wall_distances(  # type: ignore[no-untyped-def]
     shape = (len(frames), len(walls))
     distance, low, high = np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    jacobian = np.zeros((2, 3))
-    jacobian[1, 2] = 1.0
     for i in range(len(frames)):
         lever_x = c * frames[i, 0] - s * frames[i, 1]
         lever_y = s * frames[i, 0] + c * frames[i, 1]
@@ -166,24 +165,19 @@ def _wall_distances(  # type: ignore[no-untyped-def]
             gap = max(along - halves[i] - highs[j], lows[j] - along - halves[i])
             if abs(offset) > MAX_OFFSET or gap > MAX_GAP:
                 continue
-            jacobian[0, 0], jacobian[0, 1] = -ws * c + wc * s, ws * s + wc * c
-            jacobian[0, 2] = ws * lever_y + wc * lever_x
+            # derivatives of the offset by the pose
+            by_x, by_y, by_turn = -ws * c + wc * s, ws * s + wc * c, ws * lever_y + wc * lever_x
             wall = wall_covariances[j]
-            innovation = jacobian @ pose_covariance @ jacobian.T
-            innovation[0, 0] += wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
-            innovation[0, 1] += wall[0, 1] + along * wall[1, 1]
-            innovation[1, 1] += wall[1, 1]
-            if innovation[0, 0] > MAX_PREDICTED_VARIANCE or innovation[1, 1] > MAX_PREDICTED_TURN_VARIANCE:
+            across = quadratic_form(pose_covariance, by_x, by_y, by_turn)
+            across += wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+            heading = pose_covariance[2, 2] + wall[1, 1]
+            if across > MAX_PREDICTED_VARIANCE or heading > MAX_PREDICTED_TURN_VARIANCE:
                 continue
-            innovation[0, 0] += covariances[i, 0, 0] + roughness
-            innovation[0, 1] += covariances[i, 0, 1]
-            innovation[1, 1] += covariances[i, 1, 1] + 3 * roughness / halves[i] ** 2
-            determinant = innovation[0, 0] * innovation[1, 1] - innovation[0, 1] ** 2
-            chi2 = (
-                innovation[1, 1] * offset * offset
-                - 2 * innovation[0, 1] * offset * turn
-                + innovation[0, 0] * turn * turn
-            ) / determinant
+            mixed = by_x * pose_covariance[0, 2] + by_y * pose_covariance[1, 2] + by_turn * pose_covariance[2, 2]
+            mixed += wall[0, 1] + along * wall[1, 1] + covariances[i, 0, 1]
+            across += covariances[i, 0, 0] + roughness
+            heading += covariances[i, 1, 1] + 3 * roughness / halves[i] ** 2
+            chi2 = mahalanobis_squared(across, mixed, heading, offset, turn)
             close = abs(offset) < AMBIGUOUS_OFFSET and abs(turn) < AMBIGUOUS_HEADING and gap < 0.0
             if chi2 < ASSOCIATION_GATE or close:
                 distance[i, j], low[i, j], high[i, j] = chi2, along - halves[i], along + halves[i]
@@ -197,27 +191,31 @@ def _corner_distances(  # type: ignore[no-untyped-def]
     """Return (n, m) squared Mahalanobis distances, infinite for excluded pairs."""
     distance = np.full((len(points), len(corners)), np.inf)
     c, s = math.cos(pose[2]), math.sin(pose[2])
-    rotation = np.array([[c, -s], [s, c]])
     for i in range(len(points)):
-        lever = rotation @ points[i]
-        jacobian = np.array([[c, -s, -lever[1]], [s, c, lever[0]]])
-        predicted = jacobian @ pose_covariance @ jacobian.T
-        own = rotation @ covariances[i] @ rotation.T + predicted
+        lever_x, lever_y = c * points[i, 0] - s * points[i, 1], s * points[i, 0] + c * points[i, 1]
+        # covariance of the position by that of the pose, and that of the corner in the scan
+        xx = quadratic_form(pose_covariance, c, -s, -lever_y)
+        xy = bilinear_form(pose_covariance, c, -s, -lever_y, s, c, lever_x)
+        yy = quadratic_form(pose_covariance, s, c, lever_x)
+        own, along, mixed, across = covariances[i], c * c, c * s, s * s
+        own_xx = along * own[0, 0] - 2.0 * mixed * own[0, 1] + across * own[1, 1]
+        own_xy = mixed * (own[0, 0] - own[1, 1]) + (along - across) * own[0, 1]
+        own_yy = across * own[0, 0] + 2.0 * mixed * own[0, 1] + along * own[1, 1]
         for j in range(len(corners)):
-            residual = np.array([pose[0] + lever[0] - corners[j, 0], pose[1] + lever[1] - corners[j, 1]])
-            if max(abs(residual[0]), abs(residual[1])) > MAX_OFFSET:
+            x, y = pose[0] + lever_x - corners[j, 0], pose[1] + lever_y - corners[j, 1]
+            if max(abs(x), abs(y)) > MAX_OFFSET:
                 continue
             if abs(wrap_angle(pose[2] + headings[i, 0] - corner_headings[j, 0])) > MAX_CORNER_HEADING_DIFFERENCE:
                 continue
             if abs(wrap_angle(pose[2] + headings[i, 1] - corner_headings[j, 1])) > MAX_CORNER_HEADING_DIFFERENCE:
                 continue
-            known = predicted + corner_covariances[j]
-            if max(known[0, 0], known[1, 1]) > MAX_PREDICTED_VARIANCE:
+            known_xx, known_yy = xx + corner_covariances[j, 0, 0], yy + corner_covariances[j, 1, 1]
+            if max(known_xx, known_yy) > MAX_PREDICTED_VARIANCE:
                 continue
-            innovation = own + corner_covariances[j]
-            innovation[0, 0] += roughness
-            innovation[1, 1] += roughness
-            chi2 = residual @ np.linalg.solve(innovation, residual)
-            if chi2 < ASSOCIATION_GATE or math.hypot(residual[0], residual[1]) < AMBIGUOUS_CORNER:
+            known_xy = xy + corner_covariances[j, 0, 1]
+            chi2 = mahalanobis_squared(
+                known_xx + own_xx + roughness, known_xy + own_xy, known_yy + own_yy + roughness, x, y
+            )
+            if chi2 < ASSOCIATION_GATE or math.hypot(x, y) < AMBIGUOUS_CORNER:
                 distance[i, j] = chi2
     return distance

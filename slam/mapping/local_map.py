@@ -11,7 +11,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
-from ..geometry.small_matrices import is_positive_definite
+from ..geometry.small_matrices import is_positive_definite, quadratic_form, without_negative_part
 from .landmarks import Landmarks
 
 # Metres between a feature and its landmark, however uncertain the pose: two faces of furniture are this far apart.
@@ -126,9 +126,10 @@ def _wall_drifts(frame, low, high, pose, drifts):  # type: ignore[no-untyped-def
     for k in range(len(frame)):
         x, y = frame[k, 0] - pose[0], frame[k, 1] - pose[1]
         c, s = math.cos(frame[k, 2]), math.sin(frame[k, 2])
-        across = np.array([-s, c, c * x + s * y])  # derivative of the offset by the pose; that of the heading is 0 0 1
-        product = drifts[k] @ across
-        offset, mixed, turn = across @ product, product[2], drifts[k, 2, 2]
+        # the derivatives by the pose are (-s, c, lever) of the offset and (0, 0, 1) of the heading
+        drift, lever = drifts[k], c * x + s * y
+        offset, turn = quadratic_form(drift, -s, c, lever), drift[2, 2]
+        mixed = c * drift[1, 2] - s * drift[0, 2] + lever * turn
         along = min(max(-(c * x + s * y), low[k]), high[k])  # the point nearest to the robot
         at_robot = offset + 2.0 * along * mixed + along * along * turn
         known[k] = at_robot < MAX_PREDICTED_VARIANCE and turn < MAX_PREDICTED_TURN_VARIANCE
@@ -146,7 +147,6 @@ def _drifts_since(keyframes, covariances):  # type: ignore[no-untyped-def]
             keyframe = keyframes[k]
             drift = covariances[-1] - covariances[keyframe]
             if keyframe < len(covariances) - 1 and not is_positive_definite(drift):
-                values, vectors = np.linalg.eigh(drift)
-                drift = (vectors * np.maximum(values, 0.0)) @ vectors.T
+                drift = without_negative_part(drift)
         drifts[k] = drift
     return drifts

@@ -18,6 +18,7 @@ from drivers import se2
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.small_matrices import quadratic_form
 from .landmarks import Landmarks
 from .near_landmarks import is_beyond_reach
 from .wall_cells import ON_WALL_DISTANCE, WALL_CELL
@@ -192,8 +193,7 @@ def _deep_enough(depth, first, frame, covariance, pose, drift):  # type: ignore[
         if depth[cell] > 0.0:
             along = WALL_CELL * (first + cell + 0.5)
             lever = c * (frame[0] - pose[0]) + s * (frame[1] - pose[1]) + along
-            jacobian = np.array([-s, c, lever])
             variance = covariance[0, 0] + 2 * along * covariance[0, 1] + along * along * covariance[1, 1]
-            variance += max(0.0, jacobian @ (drift @ jacobian))
+            variance += max(0.0, quadratic_form(drift, -s, c, lever))
             deep[cell] = depth[cell] > MIN_DEPTH + MIN_DEPTH_SIGMAS * math.sqrt(variance)
     return deep

@@ -18,6 +18,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers, Segments
+from ..geometry.small_matrices import quadratic_form
 from .local_map import LocalMap
 
 # Latest samples used, two per observation: some fifty keyframes. Origin: chosen, follows a change of building; not
@@ -110,8 +111,6 @@ def _residuals(pose, covariance, frames, walls, wall_covariances):  # type: igno
     """
     count = len(frames)
     residuals, expected = np.empty((count, 2)), np.empty((count, 2, 2))
-    jacobian, lever = np.zeros((2, 3)), np.eye(2)  # with respect to the pose, and to offset and heading of the wall
-    jacobian[1, 2] = 1.0
     for k in range(count):
         turn = pose[2] - walls[k, 2]
         c, s = math.cos(walls[k, 2]), math.sin(walls[k, 2])
@@ -120,9 +119,13 @@ def _residuals(pose, covariance, frames, walls, wall_covariances):  # type: igno
         c, s = math.cos(turn), math.sin(turn)
         along, across = c * frames[k, 0] - s * frames[k, 1], s * frames[k, 0] + c * frames[k, 1]
         residuals[k, 0], residuals[k, 1] = y + across, wrap_angle(turn + frames[k, 2])
-        jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = s, c, along
-        lever[0, 1] = x + along
-        expected[k] = jacobian @ covariance @ jacobian.T + lever @ wall_covariances[k] @ lever.T
+        # The derivatives of the offset are (s, c, along) by the pose, and (1, lever) by offset and heading of the wall.
+        lever, wall = x + along, wall_covariances[k]
+        at_wall = wall[0, 1] + lever * wall[1, 1]
+        mixed = s * covariance[0, 2] + c * covariance[1, 2] + along * covariance[2, 2] + at_wall
+        expected[k, 0, 0] = quadratic_form(covariance, s, c, along) + wall[0, 0] + lever * (wall[0, 1] + at_wall)
+        expected[k, 0, 1] = expected[k, 1, 0] = mixed
+        expected[k, 1, 1] = covariance[2, 2] + wall[1, 1]
     return residuals, expected
 
 

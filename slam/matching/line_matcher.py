@@ -16,7 +16,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import axes_of
 from ..geometry.segments import CornerPoints, Floats, Segments
-from ..geometry.small_matrices import solve
+from ..geometry.small_matrices import product, solve
 from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField
 from .interpolation import add_points
@@ -132,7 +132,7 @@ def _register(  # type: ignore[no-untyped-def]
         add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient)
         total = information + point_information + prior
         point_pose[:] = pose
-        move_back(pose, solve(total, gradient + point_gradient + prior @ pose_error(prediction, pose)))
+        move_back(pose, solve(total, gradient + point_gradient + product(prior, pose_error(prediction, pose))))
     # From where it is linearised, and without the prior: odometry has a factor of its own in the graph.
     move_back(point_pose, solve(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
     return pose, information, point_information, point_pose, overlaps.sum()

@@ -36,7 +36,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse, log_determinant, quadratic_form, solve
+from ..geometry.small_matrices import inverse, log_determinant, product, quadratic_form, solve
 from .distance_field import DistanceField
 from .interpolation import add_points
 from .offset_tiles import FIELD_CELL
@@ -268,7 +268,7 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
             add_points(pose, points, field, sigma, information, gradient)
             error = pose_error(prediction, pose)
             robust = prior / (1.0 + quadratic_form(prior, error[0], error[1], error[2]) / kernel**2)
-            move = solve(information + robust + conditioning, gradient + robust @ error)
+            move = solve(information + robust + conditioning, gradient + product(robust, error))
             move_back(pose, move)
             if abs(move[0]) < LAST_STEP and abs(move[1]) < LAST_STEP and abs(move[2]) < LAST_STEP:
                 break

@@ -33,6 +33,7 @@ import numpy as np
 from drivers.compiled import compiled
 
 from ..geometry.segments import CornerPoints, Floats, Segments
+from ..geometry.small_matrices import inverse
 from ..odometry.error_model import PARABOLA_VARIANCE, OdometryModel
 from .deskew import DeskewedScan
 
@@ -129,11 +130,11 @@ def _variance_inflation(covariances, jacobians, travel, headings, translation, r
             information, covariances, jacobians, travel, own, inflation * translation, inflation * rotation
         )
         correlated, separate = _implied_by_motion(information, travel, headings, translation, rotation)
-        covariance = np.linalg.inv(information.sum(axis=0) + CONDITIONING * np.eye(3))
-        implied = np.trace(covariance @ separate)
+        covariance = inverse(information.sum(axis=0) + CONDITIONING * np.eye(3))
+        implied = (covariance * separate).sum()  # the trace of the product, as both are symmetric
         if implied <= 0.0:
             return 1.0
-        inflation = max(1.0, np.trace(covariance @ correlated) / implied)
+        inflation = max(1.0, (covariance * correlated).sum() / implied)
     return inflation
 
 
@@ -176,4 +177,7 @@ def _implied_by_motion(information, travel, headings, translation, rotation):  #
                 separate[k, m] += rotation * headings[i, i] * information[i, k, 2] * information[i, m, 2]
                 of_position = information[i, k, 0] * information[i, m, 0] + information[i, k, 1] * information[i, m, 1]
                 separate[k, m] += translation * travel[i] ** 2 * of_position
-    return correlated + translation * shifts @ shifts.T, separate
+    for k in range(3):
+        for m in range(3):
+            correlated[k, m] += translation * (shifts[k, 0] * shifts[m, 0] + shifts[k, 1] * shifts[m, 1])
+    return correlated, separate

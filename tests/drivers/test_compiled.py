@@ -1,4 +1,4 @@
-"""Cached compiled functions are deleted if a module on which they depend changes."""
+"""Cached compiled functions are deleted if a module on which they depend changes, and load no SciPy."""
 
 from __future__ import annotations
 
@@ -88,6 +88,22 @@ def test_dependencies_are_the_imported_modules(package: Path, statement: str, ex
     module.write_text(f"{statement}\n")
     inside = {file.relative_to(package).as_posix() for file in dependencies(module) if package in file.parents}
     assert inside == expected | {"module.py"}
+
+
+def test_linear_algebra_of_scipy_is_loaded_by_functions_that_call_it_only(tmp_path: Path) -> None:
+    code = """if True:
+        import sys
+        import numba, numpy
+        from drivers import compiled
+        assert numba.njit(lambda x: x + 1)(1) == 2
+        assert "scipy.linalg" not in sys.modules
+        other = numba.njit(lambda a, b: numpy.correlate(a, b))  # of another program, with BLAS
+        assert other(numpy.ones(3), numpy.ones(3))[0] == 3.0
+        assert "scipy.linalg" in sys.modules
+    """
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    answer = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=250)
+    assert answer.returncode == 0, answer.stderr
 
 
 def test_cached_kernels_are_compiled_by_the_packages_decorators() -> None:

@@ -15,12 +15,12 @@ from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...graph.factors import GraphState
-from ...localisation.local_field import LocalFieldState
 from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.map_parts import MapParts
 from ..json_files import read_json
 from .agreement import AgreementRecord, agreement_record
+from .local_field import LocalFieldRecord, local_field_record, local_field_state
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
 
 FORMAT = "wclm-slam session"
@@ -80,17 +80,9 @@ class _Tracker(Record):
     last_score: Finite
 
 
-class _LocalField(Record):
-    centre: tuple[Finite, Finite]
-    links: list[tuple[int, int]]
-    gaps: list[tuple[int, Annotated[Finite, Field(ge=0.0)]]]
-    inserted: list[int]
-    inserted_poses: list[Pose]
-
-
 class _Checkpoint(Record):
     tracker: _Tracker | None
-    field: _LocalField
+    field: LocalFieldRecord
     anchor: _Anchor | None
     kidnapped: bool
     kidnapped_keyframes: list[int]
@@ -199,7 +191,7 @@ class SessionHeader(Record):
         tracker, anchor = self.checkpoint.tracker, self.checkpoint.anchor
         return TrackingCheckpoint(
             None if tracker is None else _tracker_state(tracker),
-            _local_field_state(self.checkpoint.field),
+            local_field_state(self.checkpoint.field),
             None
             if anchor is None
             else Anchor(
@@ -242,22 +234,11 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     )  # fmt: skip
 
 
-def _local_field_state(record: _LocalField) -> LocalFieldState:
-    poses = np.array(record.inserted_poses).reshape(-1, 3)
-    return LocalFieldState(np.array(record.centre), record.links, dict(record.gaps), record.inserted, poses)
-
-
 def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
-    tracker, field, anchor = checkpoint.tracker, checkpoint.field, checkpoint.anchor
+    tracker, anchor = checkpoint.tracker, checkpoint.anchor
     return _Checkpoint(
         tracker=None if tracker is None else _tracker_record(tracker),
-        field=_LocalField(
-            centre=(float(field.centre[0]), float(field.centre[1])),
-            links=list(field.links),
-            gaps=sorted(field.gaps.items()),
-            inserted=list(field.inserted),
-            inserted_poses=[to_pose(pose) for pose in field.inserted_poses],
-        ),
+        field=local_field_record(checkpoint.field),
         anchor=None
         if anchor is None
         else _Anchor(

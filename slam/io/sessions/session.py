@@ -170,8 +170,10 @@ def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, lan
     if any(group > part or parts.groups[group] != group for part, group in enumerate(parts.groups)):
         raise MapError(f"{file}: parts: a part is joined with a part that does not exist")
     field = header.checkpoint.field
-    if any(not 0 <= keyframe < count for keyframe in [*field.inserted, *(k for link in field.links for k in link)]):
+    if any(not 0 <= keyframe < count for keyframe in field.keyframes):
         raise MapError(f"{file}: checkpoint.field: there are {count} keyframes")
+    if field.successor is not None and len(field.successor.poses) > len(field.successor.keyframes):
+        raise MapError(f"{file}: checkpoint.field: more keyframes were inserted than were to be inserted")
     for name, record in [("agreement", header.agreement), *(("joins", record) for record in header.joins.values())]:
         if any(not 0 <= keyframe < count for keyframe in agreement_state(record).keyframes):
             raise MapError(f"{file}: {name}: there are {count} keyframes")

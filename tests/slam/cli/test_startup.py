@@ -16,7 +16,7 @@ import slam.cli
 import slam.pipeline
 
 HEAVY = {
-    *("scipy.stats", "scipy.optimize", "scipy.ndimage", "scipy.spatial", "pyarrow.compute"),
+    *("scipy.linalg", "scipy.stats", "scipy.optimize", "scipy.ndimage", "scipy.spatial", "pyarrow.compute"),
     *("pandas", "matplotlib", "rosbags", "mcap", "rerun"),
 }
 

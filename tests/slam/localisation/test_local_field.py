@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.localisation.field_successor import KEYFRAMES_PER_STEP
 from slam.localisation.local_field import (
+    FAR_FROM_CENTRE,
     MAX_CENTRE_DISTANCE,
     MAX_DISPLACEMENT,
     MAX_PATH,
@@ -104,6 +106,66 @@ def test_field_is_built_anew_if_poses_have_changed() -> None:
     field.update(9, poses + np.array([0.0, 2.0 * MAX_DISPLACEMENT, 0.0]), travelled)
     assert field.field is not before
     assert list(field.inserted) == list(range(10))
+
+
+def slow_drive(step: float, until: float) -> tuple[Floats, list[float], LocalField]:
+    """Drive along a line with a keyframe every `step` metres; return their poses, the metres driven, and the field."""
+    poses = np.zeros((round(until / step), 3))
+    poses[:, 0] = step * np.arange(len(poses))
+    travelled, field = poses[:, 0].tolist(), LocalField()
+    for keyframe in range(len(poses)):
+        field.add(SCAN)
+        field.update(keyframe, poses[: keyframe + 1], travelled[: keyframe + 1])
+    return poses, travelled, field
+
+
+def test_field_around_the_robot_is_built_in_steps_and_is_the_same_as_one_built_at_once() -> None:
+    step = 0.03
+    poses, travelled, field = slow_drive(step, MAX_CENTRE_DISTANCE + 2 * step)
+    before, last = field.field, len(poses) - 1
+    near, steps = len(field.inserted), 0
+    assert field.state.successor is not None
+    while field.state.successor is not None:  # a robot that stands
+        inserted = len(field.state.successor.poses)
+        field.update(last, poses, travelled)
+        steps += 1
+        successor = field.state.successor
+        assert (near if successor is None else len(successor.poses)) - inserted <= KEYFRAMES_PER_STEP
+        assert (field.field is before) == (successor is not None)
+    assert 1 <= steps <= near / KEYFRAMES_PER_STEP
+    assert field.field.centre_distance(poses[-1]) < MAX_CENTRE_DISTANCE / 2
+    assert sorted(field.inserted) == list(range(len(poses)))
+    at_once = LocalField()
+    for _ in poses:
+        at_once.add(SCAN)
+    at_once.restore(field.state)
+    np.testing.assert_array_equal(offsets_of(at_once.field), offsets_of(field.field))
+
+
+def test_restored_field_continues_to_build_its_successor() -> None:
+    poses, travelled, field = slow_drive(0.03, MAX_CENTRE_DISTANCE + 0.1)
+    restored = LocalField()
+    for _ in poses:
+        restored.add(SCAN)
+    restored.restore(field.state)
+    assert field.state.successor is not None
+    for _ in range(KEYFRAMES_PER_STEP):
+        for one in (field, restored):
+            one.update(len(poses) - 1, poses, travelled)
+        assert (restored.state.successor is None) == (field.state.successor is None)
+        np.testing.assert_array_equal(restored.inserted, field.inserted)
+    assert field.state.successor is None
+    np.testing.assert_array_equal(offsets_of(restored.field), offsets_of(field.field))
+
+
+def test_field_is_built_at_once_if_the_robot_is_far_from_its_middle() -> None:
+    poses, travelled, field = slow_drive(0.03, MAX_CENTRE_DISTANCE + 0.1)
+    poses = np.vstack([poses, [FAR_FROM_CENTRE + 1.0, 0.0, 0.0]])
+    field.add(SCAN)
+    field.update(len(poses) - 1, poses, [*travelled, float(poses[-1, 0])])
+    assert field.state.successor is None
+    assert field.field.centre_distance(poses[-1]) < 1.0
+    assert len(poses) - 1 in field.inserted
 
 
 def test_restored_field_continues_as_the_saved_one() -> None:
