@@ -172,7 +172,7 @@ class Slam:
             text = "the initial pose is not used: the scan does not fit near it"
             self._publisher.publish(Notice(scan.stamp, text))
             return
-        self._publisher.publish(Notice(scan.stamp, "the robot is placed at the initial pose"))
+        self._publisher.publish(Notice(scan.stamp, "the robot is placed at the initial pose", "INFO"))
         if self._localisation.lost:
             self._localisation.handle(scan.stamp, LocalisationEvent.RELOCALISED)
 

@@ -157,7 +157,7 @@ def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
     slam = summary.get("slam") or {}
     spans = slam.get("lost") or []
     rows = []
-    if spans:
+    if spans and slam["health"]["lost"]:  # a robot that starts at a given pose is placed by the first scan
         times = ", ".join(f"at {begin:.1f} s for {end - begin:.1f} s" for begin, end in spans[:SHOWN_SPANS])
         more = f", and {len(spans) - SHOWN_SPANS} more times" if len(spans) > SHOWN_SPANS else ""
         share = slam["health"]["lost"] / max(1, slam["scans"])

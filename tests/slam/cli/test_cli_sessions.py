@@ -87,6 +87,17 @@ def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Pat
     assert not Path("x").exists()
 
 
+def test_a_right_initial_pose_is_no_warning(wclm: Any, folder: Path, session: Path) -> None:
+    options = ("--localize", session, "--out", "here", "--no-review")
+    result = wclm("run", folder / "first.mcap", *options, "--start", "0,0,0")
+    assert result.exit_code == 0, result.output
+    assert "warning" not in result.stdout
+    assert "LOST" not in result.stdout
+    wrong = wclm("run", folder / "first.mcap", *options, "--overwrite", "--start", "5,5,2")
+    assert "warning    the pose is lost" in wrong.output
+    assert "LOST" in wrong.output
+
+
 def test_continue_and_localize_exclude_each_other(wclm: Any, session: Path) -> None:
     result = wclm("run", "sim:room", "--localize", session, "--continue", session, "--out", "x")
     assert result.exit_code == 2
