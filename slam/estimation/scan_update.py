@@ -43,7 +43,8 @@ MIN_FAMILIARITY = 0.8  # Origin: as FAMILIAR_VISITS.
 # are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
 FAMILIAR_SIGMA = 0.05
 FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
-# Keyframes made elsewhere between two visits. Origin: chosen, about 7 m of driving; not measured.
+# Steps made elsewhere between two visits: keyframes, and passes of familiar places, where none are made.
+# Origin: chosen, about 7 m of driving; not measured.
 VISIT_GAP = 20
 # Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
 UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
@@ -139,7 +140,8 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     if state.kidnapped or state.at_part_begin or tracking.familiarity < MIN_FAMILIARITY:
         return None
     near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
-    before = np.sort(near[near < mapper.keyframe_count - VISIT_GAP])  # without those of the current visit
+    steps = np.sort([state.keyframe_steps[k] for k in near])
+    before = steps[steps < state.steps - VISIT_GAP]  # without those of the current visit
     visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
     observable = weakest_direction(state.pose, tracking.registration.information, FAMILIAR_SIGMA) is None
     return int(near[0]) if visits >= (FAMILIAR_VISITS if observable else FAMILIAR_VISITS_IF_DEGENERATE) else None
@@ -148,6 +150,7 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
 def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, tracking: TrackingResult) -> None:
     """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
     state.mapper.solve_waiting()
+    state.steps += 1
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
     state.anchor = Anchor(keyframe, relative, tracking.registered_covariance, scan.odometry)
     state.kidnapped = state.kidnapped and not state.frozen
@@ -212,6 +215,8 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
         features.points.xy,
     )
     state.keyframe_stamps.append(scan.stamp)
+    state.keyframe_steps.append(state.steps)
+    state.steps += 1
     timer.lap("graph")
     state.local_map, merge = mapper.refresh(observations)
     state.anchor = Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry)

@@ -86,6 +86,8 @@ class SlamState:
     loops                search for loop closures
     joins                search for the place of a part of the map that is not connected
     keyframe_stamps      seconds
+    steps                number of keyframes, and of scans at their distance that made none in a familiar place
+    keyframe_steps       number of steps before each keyframe
     pose                 (3,) of the base in the map at the last tracked scan
     local_map            landmarks around the robot
     local_field          distance field of the keyframes around the robot
@@ -107,6 +109,8 @@ class SlamState:
         self.loops = loops or LoopAgreement()
         self.joins = JoinSearch()
         self.keyframe_stamps: list[float] = []
+        self.steps = 0
+        self.keyframe_steps: list[int] = []
         self.pose = np.zeros(3)
         self.local_map = empty_local_map()
         self.local_field = LocalField()
@@ -140,6 +144,7 @@ class SlamState:
         state = cls(config)
         state.odometry_model.add_samples(odometry_samples)
         state.mapper, state.trajectory, state.keyframe_stamps = mapper, trajectory, list(stamps)
+        state.steps, state.keyframe_steps = len(stamps), list(range(len(stamps)))
         state.anchor, state.kidnapped = checkpoint.anchor, checkpoint.kidnapped
         state.kidnapped_keyframes = list(checkpoint.kidnapped_keyframes)
         if checkpoint.tracker is not None:
