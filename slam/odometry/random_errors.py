@@ -73,20 +73,26 @@ def _observed_rates(corrected, registered, variances, travel, floors):  # type: 
             noise = variances[k, 1] + floors[1] ** 2 + rates[2] * travel[k]
             turns[0, turn_count], turns[1, turn_count] = heading[k] / turn, noise / turn
             turn_count += 1
-    rates[3] = _median_excess(turns[:, :turn_count])
+    # Gross errors change a median little, but of turns, the noise that is subtracted may be most of it.
+    rates[3] = _median_excess(_without_gross_errors(turns[:, :turn_count]))
     return rates, counts
+
+
+@compiled
+def _without_gross_errors(values):  # type: ignore[no-untyped-def]
+    """Return the columns of `values` (2, n), squared errors and their noise, whose errors are not gross."""
+    if not values.shape[1]:
+        return values
+    return values[:, NORMAL_MEDIAN * values[0] <= GROSS_ERROR**2 * np.median(values[0])]
 
 
 @compiled
 def _median_excess(values):  # type: ignore[no-untyped-def]
     """Return the median of squared errors without the noise that is known, values (2, n): the squares, the noise.
 
-    A median changes little by gross errors, but the noise that is subtracted may be most of it: so they are left out.
     It is at least the standard error of the squares' median: less cannot be told from the noise.
     """
     count = values.shape[1]
     if not count:
         return 0.0
-    kept = values[:, NORMAL_MEDIAN * values[0] <= GROSS_ERROR**2 * np.median(values[0])]
-    count = kept.shape[1]
-    return max(np.median(kept[0] - kept[1]), NORMAL_MEDIAN_ERROR / math.sqrt(count) * np.median(kept[0]))
+    return max(np.median(values[0] - values[1]), NORMAL_MEDIAN_ERROR / math.sqrt(count) * np.median(values[0]))
