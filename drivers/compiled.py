@@ -38,10 +38,12 @@ def _import_array_functions() -> None:
         return
     sys.modules["scipy.linalg"] = None  # type: ignore[assignment]  # an import of it fails
     try:
-        from numba.np import arraymath
+        with suppress(ImportError):  # another version of numba: it imports SciPy when it needs it
+            from numba.np import arraymath
+
+            arraymath._HAVE_BLAS = True  # it can be imported from now on
     finally:
         del sys.modules["scipy.linalg"]
-    arraymath._HAVE_BLAS = True  # it can be imported from now on
 
 
 _import_array_functions()

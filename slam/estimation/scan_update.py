@@ -43,7 +43,7 @@ MIN_FAMILIARITY = 0.8  # Origin: as FAMILIAR_VISITS.
 # are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
 FAMILIAR_SIGMA = 0.05
 FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
-# Steps made elsewhere between two visits: keyframes, and passes of familiar places, where none are made.
+# `SlamState.steps` made elsewhere between two visits.
 # Origin: chosen, about 7 m of driving; not measured.
 VISIT_GAP = 20
 # Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.

@@ -86,8 +86,8 @@ class SlamState:
     loops                search for loop closures
     joins                search for the place of a part of the map that is not connected
     keyframe_stamps      seconds
-    steps                number of keyframes, and of scans at their distance that made none in a familiar place
-    keyframe_steps       number of steps before each keyframe
+    steps                number of keyframes so far, with those that were not made because the place was familiar
+    keyframe_steps       `steps` before each keyframe
     pose                 (3,) of the base in the map at the last tracked scan
     local_map            landmarks around the robot
     local_field          distance field of the keyframes around the robot

@@ -1,4 +1,7 @@
-"""Probability that odometry fails from one scan to the next, learned while driving."""
+"""Probability that odometry fails from one scan to the next, learned while driving.
+
+Without odometry the motion is predicted at constant velocity, and what fails is that the robot moves evenly.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ PRIOR_SCANS, PRIOR_SLIPS = 20, 1
 
 @dataclass(slots=True)
 class SlipStatistics:
-    """Number of scans, and of those before which odometry failed: it slipped, stood still or jumped."""
+    """Number of tracked scans, and of those before which odometry failed: it slipped, stood still or jumped."""
 
     scans: int = 0
     slips: int = 0

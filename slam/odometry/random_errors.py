@@ -73,14 +73,15 @@ def _observed_rates(corrected, registered, variances, travel, floors):  # type: 
             noise = variances[k, 1] + floors[1] ** 2 + rates[2] * travel[k]
             turns[0, turn_count], turns[1, turn_count] = heading[k] / turn, noise / turn
             turn_count += 1
-    # Gross errors change a median little, but of turns, the noise that is subtracted may be most of it.
+    # The noise subtracted from turns contains the drift by driving and may be most of the median, which is then small:
+    # what a few gross errors add to it counts.
     rates[3] = _median_excess(_without_gross_errors(turns[:, :turn_count]))
     return rates, counts
 
 
 @compiled
 def _without_gross_errors(values):  # type: ignore[no-untyped-def]
-    """Return the columns of `values` (2, n), squared errors and their noise, whose errors are not gross."""
+    """Return the columns of `values` (2, n), squared errors and their known noise, without the gross errors."""
     if not values.shape[1]:
         return values
     return values[:, NORMAL_MEDIAN * values[0] <= GROSS_ERROR**2 * np.median(values[0])]

@@ -169,7 +169,9 @@ def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, lan
         raise MapError(f"{file}: parts: these are not parts of {count} keyframes in their order")
     if any(group > part or parts.groups[group] != group for part, group in enumerate(parts.groups)):
         raise MapError(f"{file}: parts: a part is joined with a part that does not exist")
-    field = header.checkpoint.field
+    tracker, field = header.checkpoint.tracker, header.checkpoint.field
+    if tracker is not None and tracker.slips > tracker.scans:
+        raise MapError(f"{file}: checkpoint.tracker: more slips than scans")
     if any(not 0 <= keyframe < count for keyframe in field.keyframes):
         raise MapError(f"{file}: checkpoint.field: there are {count} keyframes")
     if field.successor is not None and len(field.successor.poses) > len(field.successor.keyframes):

@@ -1,8 +1,9 @@
-"""Predictions of the pose after a tentative scan."""
+"""Predictions of the pose after a tentative scan, and the cost of a slip."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from drivers import se2
 from slam.config import OdometryConfig
@@ -47,3 +48,19 @@ def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     usual = predictor.predict(0.2, 2 * STEP)[0]
     np.testing.assert_allclose(usual.pose, 2 * STEP, atol=1e-9)
     assert usual.cost == 0.0
+
+
+def test_the_cost_of_a_slip_follows_from_the_scans_that_slipped_and_is_saved() -> None:
+    predictor = PosePredictor(OdometryModel(OdometryConfig()))
+    costs = []
+    for slipped in (False, True):
+        for k in range(20):
+            predictor.predict(0.1 * k, np.zeros(3))
+            predictor.update(tracking_result(slipped=slipped), np.zeros(3), None)
+        _, slip, *_ = predictor.predict(2.0, np.zeros(3))
+        costs.append(slip.cost)
+    assert costs == pytest.approx([np.log(40.0), np.log(60.0 / 21.0)])
+    restored, state = PosePredictor(OdometryModel(OdometryConfig())), predictor.state(0.0)
+    assert state is not None
+    restored.restore(state)
+    assert restored.predict(2.1, np.zeros(3))[1].cost == costs[-1]
