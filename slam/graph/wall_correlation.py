@@ -74,15 +74,25 @@ def _weighted_residuals(
 
     Their variance is one for white noise as modelled.
     """
+    whitened = whitened_residuals(factors, poses, frames, bias)
+    weight = 1.0 / (1.0 + (whitened / WALL_CAUCHY_SCALE) ** 2)
+    return np.asarray(weight * whitened / np.sqrt(WEIGHTED_VARIANCE))
+
+
+def whitened_residuals(
+    factors: Sequence[Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
+) -> Floats:
+    """Return the residuals (n,) of factors of one kind of wall observation, divided by their standard deviations.
+
+    For `poses`, `frames` and `bias` see `divisors_of_information`.
+    """
     observers, walls = _rows(poses, [f.first for f in factors]), _rows(frames, [f.second for f in factors])
     seen = se2.between(observers, walls)
     (group,) = by_kind(factors)
     measured = group.without_range_bias(bias)
     error = se2.between(measured[:, :3], seen).reshape(-1, 3)
     residual = error[:, 2] if measured.shape[1] == 3 else error[:, 1] + measured[:, 3] * error[:, 2]
-    whitened = residual / np.sqrt(group.covariances[:, 0, 0])
-    weight = 1.0 / (1.0 + (whitened / WALL_CAUCHY_SCALE) ** 2)
-    return np.asarray(weight * whitened / np.sqrt(WEIGHTED_VARIANCE))
+    return np.asarray(residual / np.sqrt(group.covariances[:, 0, 0]))
 
 
 def _rows(poses: Mapping[int, se2.Pose], numbers: list[int]) -> Floats:

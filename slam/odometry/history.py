@@ -24,6 +24,15 @@ MAX_EXTENSION = 2.0
 TRAVEL_PER_RADIAN = 0.25
 # Readings of a long run that are processed at once, so that it needs little memory. Origin: numerical.
 BLOCK = 1 << 16
+# Triples of readings that show the error of their stamps, at least. Origin: chosen, for a median; not measured.
+MIN_TRIPLES = 16
+# Metres per second of wheel travel above which readings show the error of their stamps. Origin: chosen, an encoder's
+# step of 0.2 mm then looks like 2 ms.
+MIN_SPEED = 0.1
+# Readings from which the error of stamps is estimated, and after how many it is estimated again. Origin: numerical.
+ESTIMATED_FROM, ESTIMATED_EVERY = 512, 64
+# Ratio of the standard deviation to the median of the absolute value of a normal variable. Origin: definition.
+NORMAL_SCALE = 1.4826
 
 
 class OdometryHistory:
@@ -32,6 +41,7 @@ class OdometryHistory:
     def __init__(self) -> None:
         # Arrays, not lists of objects, which are six times as large: a robot drives for days.
         self._stamps, self._poses = array("d"), array("d")  # of the poses, three numbers each
+        self._stamp_error, self._estimated_at = 0.0, 0  # and the number of readings when it was estimated
 
     @classmethod
     def from_arrays(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
@@ -97,6 +107,22 @@ class OdometryHistory:
         return np.array(self._poses).reshape(-1, 3)
 
     @property
+    def stamp_error(self) -> float:
+        """Standard deviation of the stamps of the latest readings, seconds; see `error_of_stamps`."""
+        end = len(self) - len(self) % ESTIMATED_EVERY
+        if end != self._estimated_at:
+            begin = max(0, end - ESTIMATED_FROM)
+            poses = np.array(self._poses[3 * begin : 3 * end]).reshape(-1, 3)
+            self._stamp_error = error_of_stamps(np.array(self._stamps[begin:end]), poses)
+            self._estimated_at = end
+        return self._stamp_error
+
+    def between(self, begin: float, end: float) -> tuple[Floats, Floats]:
+        """Return stamps (n,) and poses (n, 3) of the readings from `begin` (seconds) to the first one from `end` on."""
+        first, last = bisect.bisect_left(self._stamps, begin), bisect.bisect_left(self._stamps, end) + 1
+        return np.array(self._stamps[first:last]), np.array(self._poses[3 * first : 3 * last]).reshape(-1, 3)
+
+    @property
     def travelled(self) -> Floats:
         """(n,) metres of wheel travel up to each reading."""
         travel = np.zeros(len(self))
@@ -141,3 +167,30 @@ class OdometryHistory:
 def wheel_travel(motion: se2.Pose) -> Floats:
     """Return (...,) the metres that the wheels roll in motions (..., 3): the length, plus a share for turning."""
     return np.asarray(np.hypot(motion[..., 0], motion[..., 1]) + TRAVEL_PER_RADIAN * np.abs(motion[..., 2]))
+
+
+def error_of_stamps(stamps: Floats, poses: Floats) -> float:
+    """Return the standard deviation of the stamps of odometry readings, seconds; zero if too few show it.
+
+    stamps  (n,) seconds, increasing
+    poses   (n, 3)
+
+    A reading that is stamped t too late while the wheels roll at the speed v is off by v t. Of three readings with the
+    travelled distances s, the second is off from the line through the others by
+
+        e = s_1 - (1 - w) s_0 - w s_2,    w = (t_1 - t_0) / (t_2 - t_0),
+
+    with the variance (1 + w^2 + (1 - w)^2) (v sigma)^2. The median over all triples ignores slips, gaps and phases of
+    acceleration.
+    """
+    if len(stamps) < MIN_TRIPLES + 2:
+        return 0.0
+    travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
+    duration = stamps[2:] - stamps[:-2]
+    speed, share = (travelled[2:] - travelled[:-2]) / duration, (stamps[1:-1] - stamps[:-2]) / duration
+    moving = speed > MIN_SPEED
+    if np.count_nonzero(moving) < MIN_TRIPLES:
+        return 0.0
+    error = travelled[1:-1] - (1.0 - share) * travelled[:-2] - share * travelled[2:]
+    scaled = error[moving] / speed[moving] / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)[moving]
+    return NORMAL_SCALE * float(np.median(np.abs(scaled)))

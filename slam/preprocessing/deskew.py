@@ -1,7 +1,7 @@
 """Correct the beams of a scan for the robot's motion during the sweep.
 
-The motion is that of odometry without its systematic errors. Its random error is added to the covariances of the
-features (see `motion_uncertainty`).
+The motion is that of odometry, smoothed because its stamps are not exact, and without its systematic errors. Its
+random error is added to the covariances of the features (see `motion_uncertainty`).
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ..config import LidarConfig
 from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
+from ..odometry.smoothing import smoothed_poses
 
 # Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
 # odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
@@ -29,8 +30,6 @@ REFERENCE_INTERVAL = 0.1
 # like a milliradian of turning, would bend the scan, and the first keyframe, which defines the map, is nearly always
 # taken standing. Origin: measured; the data are not recorded.
 MIN_SWEEP_TRAVEL = 2e-3
-# Metres, metres, radians: jitter of one odometry reading. Origin: measured, as MIN_SWEEP_TRAVEL.
-JITTER = np.array([2e-4, 2e-4, 8e-4])
 # Standard deviations of the fit from the reading in the middle up to which it is taken for a random error.
 # Origin: chosen, 99.7 % of a normal distribution.
 FIT_DEVIATIONS = 3.0
@@ -77,11 +76,11 @@ def deskew(
 ) -> DeskewedScan:
     """Transform every beam of a scan to the lidar's pose in the middle of its sweep, with odometry's motion.
 
-    The reference is the middle of a motion at constant acceleration that is fitted to odometry within
-    REFERENCE_INTERVAL, as the error of the single reading in the middle would move and turn the whole scan. The two
-    differ by the jitter of the reading and by the random error of odometry according to the `model`, if there is one. A
-    larger difference is a sudden change of speed; it is limited. `range_bias` (metres) is subtracted from all ranges,
-    and the systematic errors of odometry are corrected by the `model`.
+    The motion is smoothed (see `smoothed_poses`). The reference is the middle of a motion at constant acceleration that
+    is fitted to it within REFERENCE_INTERVAL, as the random error of odometry in the middle would turn the whole scan.
+    The two differ by what the `model` states; a larger difference is a sudden change of speed, and is limited.
+    `range_bias` (metres) is subtracted from all ranges, and the systematic errors of odometry are corrected by the
+    `model`. Without a model, the reference is odometry in the middle.
     """
     duration = scan.duration
     ranges = scan.ranges - range_bias if range_bias else scan.ranges
@@ -89,19 +88,21 @@ def deskew(
         at = odometry.at(scan.stamp) if len(odometry) else np.zeros(3)
         return DeskewedScan(scan.stamp, at, ranges, scan.angles, np.zeros(len(ranges)))
     middle = sweep_middle(scan)
-    offsets = np.linspace(0.0, duration, 2 + math.ceil(duration / KNOT_INTERVAL))
-    reference = odometry.at(middle)
-    moves = se2.between(reference, odometry.at_each(scan.stamp + offsets))
+    half = math.ceil(0.5 * duration / KNOT_INTERVAL)
+    offsets = np.linspace(0.0, duration, 2 * half + 1)
+    poses = smoothed_poses(odometry, scan.stamp + offsets)
+    reference = poses[half]
+    moves = se2.between(reference, poses)
     travels = wheel_travel(moves)
     if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
         return DeskewedScan(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
     central = np.abs(offsets - 0.5 * duration) <= 0.5 * REFERENCE_INTERVAL
     fitted = float(travels[central].max())
-    limit = JITTER if model is None else JITTER + FIT_DEVIATIONS * model.deviations_of_fit(fitted)
-    error = np.clip(_fitted_middle(offsets[central] - 0.5 * duration, moves[central]), -limit, limit)
-    moves = se2.between(error, moves)
+    error = np.zeros(3)
     if model is not None:
-        moves = model.correct(moves)
+        limit = FIT_DEVIATIONS * model.deviations_of_fit(fitted)
+        error = np.clip(_fitted_middle(offsets[central] - 0.5 * duration, moves[central]), -limit, limit)
+        moves = model.correct(se2.between(error, moves))
     lidars = se2.between(mount, se2.compose(moves, mount))
     turned = scan.angles + np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
     x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)

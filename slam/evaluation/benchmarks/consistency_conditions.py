@@ -12,7 +12,7 @@ import numpy as np
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, WheelModel, World, load_world
 
 from .scenarios.buildings import random_building, room_with_boxes
-from .scenarios.log_variants import LogVariant, crop, disturb, quantise, stamp_late
+from .scenarios.log_variants import LogVariant, crop, disturb, quantise, stamp_late, stamp_odometry_inexactly
 from .scenarios.world_variants import bend
 
 MOUNT = (0.2, -0.15, math.radians(100.0))
@@ -89,6 +89,7 @@ CONDITIONS: dict[str, Condition] = {
     "bearing-noise": Condition("bearing noise of 0.2 degrees", OFFICE, replace(LIDAR, sigma_bearing=math.radians(0.2))),
     "outliers": Condition("5 % of the ranges 5 cm too long", OFFICE, log=disturb(0.05, 0.05)),
     "late-scans": Condition("scans stamped 20 ms late", OFFICE, log=stamp_late(0.02)),
+    "inexact-stamps": Condition("stamps of odometry that are off by 10 ms", OFFICE, log=stamp_odometry_inexactly(0.01)),
     "corridor": Condition("a corridor of 40 m with doors", _named("corridor")),
     "columns": Condition("a hall with round columns", _named("columns")),
     "boxes": Condition("two rooms with 16 boxes, others for each seed", _drawn(room_with_boxes)),

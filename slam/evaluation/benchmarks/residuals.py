@@ -11,14 +11,12 @@ by what the joint covariances of both maps state, except for the motion between 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from drivers import se2
 from drivers.messages import Message
 
 from ...config import Config
@@ -26,6 +24,7 @@ from ...errors import MapError
 from ...events import Finished
 from ...geometry.segments import Floats
 from ...graph.factors import FactorKind
+from ...graph.wall_correlation import whitened_residuals
 from ...io.tum import Trajectory
 from ...mapping.mapper import Mapper
 from ...pipeline import Slam
@@ -94,19 +93,22 @@ KINDS = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
 
 
 def wall_residuals(mapper: Mapper) -> dict[FactorKind, dict[int, Floats]]:
-    """Return the whitened residuals (n,) of each wall by its id, in the order of the keyframes, for both KINDS."""
-    factors = [factor for factor in mapper.graph.solver.factors.values() if factor.kind in KINDS]
-    factors.sort(key=lambda factor: factor.first)
-    poses = mapper.graph.keyframe_poses(mapper.keyframe_count)
-    walls = sorted({factor.second for factor in factors})
-    frames = dict(zip(walls, mapper.graph.wall_frames(walls), strict=True))
-    found: dict[FactorKind, dict[int, list[float]]] = {kind: defaultdict(list) for kind in KINDS}
-    for factor in factors:
-        expected = se2.between(poses[factor.first], frames[factor.second])
-        error = se2.between(factor.measured[:3], expected)
-        residual = error[2] if factor.kind is KINDS[0] else error[1] + factor.measured[3] * error[2]
-        found[factor.kind][factor.second].append(float(residual) / math.sqrt(factor.covariance[0, 0]))
-    return {kind: {wall: np.array(values) for wall, values in found[kind].items()} for kind in KINDS}
+    """Return the whitened residuals (n,) of each wall by its id, in the order of the keyframes, for both KINDS.
+
+    Observations are those without the range bias that was estimated with the map.
+    """
+    solver = mapper.graph.solver
+    poses = dict(enumerate(mapper.graph.keyframe_poses(mapper.keyframe_count)))
+    found: dict[FactorKind, dict[int, Floats]] = {}
+    for kind in KINDS:
+        factors = [factor for factor in solver.factors.values() if factor.kind is kind]
+        factors.sort(key=lambda factor: factor.first)
+        of_wall = np.array([factor.second for factor in factors], dtype=np.int64)
+        walls = np.unique(of_wall).tolist()
+        frames = dict(zip(walls, mapper.graph.wall_frames(walls), strict=True))
+        values = whitened_residuals(factors, poses, frames, solver.range_bias.metres) if factors else np.zeros(0)
+        found[kind] = {wall: values[of_wall == wall] for wall in walls}
+    return found
 
 
 def residual_statistics(series: Sequence[Floats]) -> ResidualStatistics:

@@ -23,6 +23,8 @@ NO_RETURNS = 51.05, 51.16
 DRIFT = 0.04, 0.05, 0.011
 """Standard deviations of the systematic errors of odometry: relative error of the distance and of the turn, and radians
 per metre; those of the simulator's bad wheels."""
+MIN_PERIOD = 1e-4
+"""Seconds between two readings that are stamped when they arrive: they arrive one after the other."""
 JITTER = 1e-6
 """Metres and radians, standard deviation of the noise that shows by how much results scatter by chance."""
 
@@ -71,6 +73,21 @@ def disturb(share: float, error: float) -> LogVariant:
 def stamp_late(seconds: float) -> LogVariant:
     """Add `seconds` to the stamps of all scans."""
     return _in_time_order(_of_scans(lambda scan, _: replace(scan, stamp=scan.stamp + seconds)))
+
+
+def stamp_odometry_inexactly(sigma: float) -> LogVariant:
+    """Add normally distributed errors (seconds) to the stamps of odometry, as of readings stamped when they arrive."""
+
+    def stamped(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
+        latest = -np.inf
+        for message in messages:
+            if isinstance(message, Odometry):
+                latest = max(message.stamp + sigma * random.standard_normal(), latest + MIN_PERIOD)
+                yield replace(message, stamp=latest)
+            else:
+                yield message
+
+    return _in_time_order(stamped)
 
 
 def reverse_times() -> LogVariant:
