@@ -50,7 +50,7 @@ class Run:
 
 @dataclass(slots=True)
 class _Part:
-    """Part of a drive of PART_DURATION: its scans, and the range of the odometry's rates in it."""
+    """Part of a drive of PART_DURATION: its scans, and the range of the rotation rates in it."""
 
     scans: list[Scan] = field(default_factory=list)
     slowest: float = np.inf
@@ -65,6 +65,8 @@ class _Part:
 class Turns:
     """Turns of a drive, collected from its messages in time order; memory does not grow with the number of scans.
 
+    Turns are found by odometry. Without any, they are found by the scans, if those state the times of their beams.
+
     odometry  (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
     """
 
@@ -75,20 +77,24 @@ class Turns:
         for message in messages:
             if isinstance(message, Scan):
                 if message.stamp >= end:
-                    self._keep(part)
+                    self._keep(part, has_odometry=bool(readings))
                     part, end = _Part(), message.stamp + PART_DURATION
                 if message.stamp >= last + MIN_SCAN_PERIOD:
                     part.scans.append(message)
                     last = message.stamp
             elif isinstance(message, Odometry):
+                if not readings:
+                    self._parts.clear()  # those before were found by the scans
                 readings.append((message.stamp, float(message.pose[2])))
                 rate = _latest_rate(readings)
                 part.slowest, part.fastest = min(part.slowest, rate), max(part.fastest, rate)
-        self._keep(part)
+        self._keep(part, has_odometry=bool(readings))
         self.odometry = _strictly_increasing(np.array(readings).reshape(-1, 2))
 
-    def _keep(self, part: _Part) -> None:
+    def _keep(self, part: _Part, has_odometry: bool) -> None:
         """Add a part, and drop those with the least activity if there are more scans than MAX_SCANS."""
+        if not has_odometry and (rates := _rates_of_scans(part.scans)):
+            part.slowest, part.fastest = min(rates), max(rates)
         if len(part.scans) < 2 or part.activity <= 0.0:
             return
         self._parts.append(part)
@@ -110,6 +116,15 @@ def _latest_rate(readings: list[tuple[float, float]]) -> float:
         if stamp - earlier >= MIN_SCAN_PERIOD:
             return float(se2.wrap(heading - before)) / (stamp - earlier) if stamp - earlier < MAX_SCAN_PERIOD else 0.0
     return 0.0
+
+
+def _rates_of_scans(scans: Sequence[Scan]) -> list[float]:
+    """Return the rotation rates from scan to scan, rad/s; none for scans without times of their beams."""
+    return [
+        find_rotation(scan, before) / (scan.stamp - before.stamp)
+        for before, scan in pairwise(scans)
+        if scan.time_offsets.any() and scan.stamp - before.stamp < MAX_SCAN_PERIOD
+    ]
 
 
 def _strictly_increasing(readings: Floats) -> Floats:
