@@ -92,9 +92,9 @@ class Calibration:
 def calibrate(messages: Iterable[Message], config: Config | None = None) -> Calibration:
     """Calibrate from a drive with turns in both directions, turns on the spot, and some metres straight ahead.
 
-    The search starts from the mount of the configuration, else from that of the scans. Its heading may be any: scans are
-    matched also against the odometry. The delay of the lidar in the configuration is compensated. Raises MapError if
-    there is no map or too little motion.
+    The drive is mapped with the mount of the configuration, else with that of the scans; its heading may be any, as
+    scans are matched also against the odometry. The delay of the lidar in the configuration is compensated. Raises
+    MapError if there is no map or too little motion.
     """
     config = config or Config()
     delay = config.lidar.delay or 0.0
@@ -158,7 +158,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
 def _closed_form_mount(driven: Floats, observed: Floats) -> se2.Pose:
     """Return the mount that relates motions of the base (n, 3) and of the lidar (n, 3) best, whatever its heading.
 
-    With the mount's position m and heading h, and the turn a of the base, R(h) t_lidar = t_base + (R(a) - I) m, which is
+    With the mount's position m and heading h, and the turn a of the base, R(h) t_lidar = t_base + (R(a) - I) m. It is
     linear in m, cos h and sin h.
     """
     c, s = np.cos(driven[:, 2]) - 1.0, np.sin(driven[:, 2])
