@@ -67,12 +67,13 @@ class Turns:
 
     Turns are found by odometry. Without any, they are found by the scans, if those state the times of their beams.
 
-    odometry  (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    odometry   (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    positions  (m, 2) of the base at these stamps, metres
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
         self._parts: list[_Part] = []
-        readings: list[tuple[float, float]] = []
+        readings: list[tuple[float, float, float, float]] = []
         part, end, last = _Part(), -np.inf, -np.inf
         for message in messages:
             if isinstance(message, Scan):
@@ -85,11 +86,13 @@ class Turns:
             elif isinstance(message, Odometry):
                 if not readings:
                     self._parts.clear()  # those before were found by the scans
-                readings.append((message.stamp, float(message.pose[2])))
+                x, y, heading = message.pose.tolist()
+                readings.append((message.stamp, heading, x, y))
                 rate = _latest_rate(readings)
                 part.slowest, part.fastest = min(part.slowest, rate), max(part.fastest, rate)
         self._keep(part, has_odometry=bool(readings))
-        self.odometry = _strictly_increasing(np.array(readings).reshape(-1, 2))
+        path = _strictly_increasing(np.array(readings).reshape(-1, 4))
+        self.odometry, self.positions = path[:, :2], path[:, 2:]
 
     def _keep(self, part: _Part, has_odometry: bool) -> None:
         """Add a part, and drop those with the least activity if there are more scans than MAX_SCANS."""
@@ -102,6 +105,11 @@ class Turns:
         while sum(len(one.scans) for one in self._parts[:-1]) >= MAX_SCANS:
             self._parts.pop()
 
+    def path_at(self, stamps: Floats) -> Floats:
+        """Return the poses (n, 3) of the base by odometry at stamps (n,); headings are not wrapped."""
+        columns = [*self.positions.T, self.odometry[:, 1]]
+        return np.column_stack([np.interp(stamps, self.odometry[:, 0], column) for column in columns])
+
     @cached_property
     def runs(self) -> list[Run]:
         """Runs of matched scans in the collected parts, in time order."""
@@ -109,10 +117,10 @@ class Turns:
         return _matched_runs([scan for part in parts for scan in part.scans])
 
 
-def _latest_rate(readings: list[tuple[float, float]]) -> float:
+def _latest_rate(readings: list[tuple[float, float, float, float]]) -> float:
     """Return the mean rotation rate over MIN_SCAN_PERIOD or more up to the last reading, rad/s; zero after a gap."""
-    stamp, heading = readings[-1]
-    for earlier, before in reversed(readings[-20:-1]):
+    stamp, heading, *_ = readings[-1]
+    for earlier, before, *_ in reversed(readings[-20:-1]):
         if stamp - earlier >= MIN_SCAN_PERIOD:
             return float(se2.wrap(heading - before)) / (stamp - earlier) if stamp - earlier < MAX_SCAN_PERIOD else 0.0
     return 0.0
@@ -128,9 +136,9 @@ def _rates_of_scans(scans: Sequence[Scan]) -> list[float]:
 
 
 def _strictly_increasing(readings: Floats) -> Floats:
-    """Return the readings (m, 2) without repeated stamps, headings unwrapped."""
+    """Return the readings (m, 4) without repeated stamps, headings unwrapped."""
     later = np.concatenate([[True], np.diff(readings[:, 0]) > 0.0])[: len(readings)]
-    return np.column_stack([readings[later, 0], np.unwrap(readings[later, 1])])
+    return np.column_stack([readings[later, 0], np.unwrap(readings[later, 1]), readings[later, 2:]])
 
 
 def _matched_runs(scans: list[Scan]) -> list[Run]:
