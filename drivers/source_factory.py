@@ -20,11 +20,13 @@ if TYPE_CHECKING:
 
 SUPPORTED = (
     "CARMEN logs (.clf, .log, .carmen, .txt, .gz), MCAP files (.mcap), "
-    "ROS 1 bags (.bag), ROS 2 bags (directory or .db3), simulations (sim:WORLD), recordings replayed in real time "
-    "(replay:FILE), devices (rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1)"
+    "ROS 1 bags (.bag, .bag.active), ROS 2 bags (directory or .db3), simulations (sim:WORLD), "
+    "recordings replayed in real time (replay:FILE), devices (rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1)"
 )
 CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
-RECORDING_SUFFIXES = (".clf", ".carmen", ".mcap", ".bag", ".db3")
+BAG_SUFFIXES = (".bag", ".active", ".db3")
+"""Of ROS bags; that of a ROS 1 bag is `.bag.active` until its recorder closes it."""
+RECORDING_SUFFIXES = (".clf", ".carmen", ".mcap", *BAG_SUFFIXES)
 """Suffixes of files that contain nothing but recordings."""
 MAX_NAMED = 5
 """Recordings of a directory that an error names."""
@@ -114,7 +116,7 @@ def _open(spec: str | Path) -> Source:
         raise RecordingError(path, None, "no such file or directory")
     if path.is_dir():
         return _directory(path)
-    if suffix in (".mcap", ".bag", ".db3") and not path.stat().st_size:
+    if suffix in (".mcap", *BAG_SUFFIXES) and not path.stat().st_size:
         raise RecordingError(path, None, "is empty")
     if suffix in CARMEN_SUFFIXES:
         from .recordings.carmen import CarmenReader
@@ -124,7 +126,7 @@ def _open(spec: str | Path) -> Source:
         from .recordings.mcap import McapReader
 
         return McapReader(path)
-    if suffix in (".bag", ".db3"):
+    if suffix in BAG_SUFFIXES:
         from .recordings.rosbag import BagReader
 
         return BagReader(path)

@@ -19,6 +19,7 @@ from .time_ordering import order_by_time
 if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrder, BeamOrderTest
     from ..timing.delay import Delay
+    from ..timing.mount_heading import MountHeading
     from ..timing.turns import Turns
 
 MAX_KEPT_BYTES = 1 << 26
@@ -106,6 +107,13 @@ class RecordingReader(ABC):
         from ..timing.delay import estimate_delay
 
         return estimate_delay(self._turns, -1.0 if self.beams_reversed else 1.0)
+
+    @cached_property
+    def mount_heading(self) -> MountHeading | None:
+        """Heading of the lidar on the robot, from its motions; None if the recording does not determine it."""
+        from ..timing.mount_heading import estimate_mount_heading
+
+        return estimate_mount_heading(self._turns)
 
     @cached_property
     def _turns(self) -> Turns:

@@ -16,6 +16,7 @@ from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, GroundTruth, Message, Scan, YawRate
 from ..se2 import Pose
+from .multi_echo import MULTI_ECHO, first_echoes
 from .point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from .range_units import ScanInUnits, find_range_unit
 from .reader import RecordingReader
@@ -51,12 +52,13 @@ def beams_topic(scan_topic: str) -> str:
 
 
 class RosReader(RecordingReader):
-    """Recording of ROS messages: LaserScan or PointCloud2, Odometry, Imu, the lidar's mount from static transforms, and
-    ground truth.
+    """Recording of ROS messages: LaserScan, MultiEchoLaserScan or PointCloud2, Odometry, Imu, the lidar's mount from
+    static transforms, and ground truth.
 
     If there are several topics with scans and none is named, the best one is read (see `scan_topics`); of several
-    topics with odometry or of a gyroscope, the one with the most messages. Point clouds are read if their topic is
-    named, or if there are no scans. Raises RecordingError if a named topic does not exist.
+    topics with odometry or of a gyroscope, the one with the most messages. Scans with several echoes, of which the
+    first of each beam is read, and point clouds are read if their topic is named, or if there are no other scans.
+    Raises RecordingError if a named topic does not exist.
 
     cut  layer of point clouds that becomes a scan
     """
@@ -77,6 +79,11 @@ class RosReader(RecordingReader):
     def _stored_messages(self, final: bool) -> Iterator[StoredMessage]:
         """Yield the messages of the types `self._types` in order. Damage is counted on the `final` pass only."""
 
+    def _messages_to_read(self, final: bool) -> Iterator[StoredMessage]:
+        """Yield the stored messages, those with several echoes as LaserScans."""
+        for stored in self._stored_messages(final):
+            yield first_echoes(stored) if stored.msgtype == MULTI_ECHO else stored
+
     def _read(self) -> Iterator[tuple[int, Message]]:
         contents = self._contents
         scans, reason = self._chosen_scan_topic
@@ -92,7 +99,7 @@ class RosReader(RecordingReader):
         mounts: dict[str, LidarMount] = {}
         poses: dict[str, Floats | None] = {}
         beams: StoredMessage | None = None
-        for stored in self._stored_messages(final=True):
+        for stored in self._messages_to_read(final=True):
             try:
                 if stored.msgtype == BEAMS and scans is not None and stored.topic == beams_topic(scans):
                     beams = stored
@@ -157,7 +164,7 @@ class RosReader(RecordingReader):
     def _drive(self, scans: str | None, odometry: OdometryTopic, contents: Contents) -> Iterator[ScanInUnits]:
         """Yield all scans of a topic in the recording's order and in their own unit, with the odometry before them."""
         base: Pose | None = None
-        for stored in self._stored_messages(final=False):
+        for stored in self._messages_to_read(final=False):
             with suppress(ValueError):  # counted on the final pass
                 if odometry.is_in(stored):
                     base = next((reading.pose for reading in odometry.readings(stored)), base)
@@ -170,12 +177,12 @@ class RosReader(RecordingReader):
 
     @cached_property
     def _contents(self) -> Contents:
-        """Topics, transforms and the base's frame, found in a first pass; in two, if point clouds are needed."""
-        contents = survey(self._stored_messages(final=False))
+        """Topics, transforms and the base's frame, found in a first pass; in two, if no LaserScan is to be read."""
+        contents = survey(self._messages_to_read(final=False))
         topics = contents.counts.get(LASER_SCAN, Counter())
         if not topics or (self.scan_topic is not None and self.scan_topic not in topics):
-            self._types = MESSAGE_TYPES | {POINT_CLOUD}
-            contents = survey(self._stored_messages(final=False))
+            self._types = MESSAGE_TYPES | {MULTI_ECHO, POINT_CLOUD}
+            contents = survey(self._messages_to_read(final=False))
         return contents
 
     @cached_property
@@ -189,7 +196,7 @@ class RosReader(RecordingReader):
         if self.scan_topic is not None or len(topics) < 2:
             return self._choose_topic(self._contents, LASER_SCAN, self.scan_topic), None
         candidates = {name: ScanTopic(name) for name in topics}
-        for stored in self._stored_messages(final=False):
+        for stored in self._messages_to_read(final=False):
             if stored.msgtype == LASER_SCAN:
                 with suppress(ValueError):  # counted on the final pass
                     message = decode(stored.data, LASER_SCAN, stored.encoding)
@@ -203,7 +210,7 @@ class RosReader(RecordingReader):
         topic = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
         if topic is not None or not contents.counts.keys() & {TRANSFORMS, TRANSFORMS_ROS1}:
             return OdometryTopic(topic)
-        frames = find_odometry_frames(self._stored_messages(final=False))
+        frames = find_odometry_frames(self._messages_to_read(final=False))
         contents.base = contents.base if frames is None else frames[1]
         return OdometryTopic(None, frames)
 

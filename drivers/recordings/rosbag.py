@@ -1,9 +1,10 @@
-"""Reader for ROS 1 bags (.bag) and ROS 2 bags (a directory, or its .db3 file)."""
+"""Reader for ROS 1 bags (.bag, .bag.active) and ROS 2 bags (a directory, or its .db3 file)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from itertools import count
 
 from rosbags.rosbag1 import Reader as Reader1
 from rosbags.rosbag2 import Reader as Reader2
@@ -14,13 +15,19 @@ from .ros_messages import LASER_SCAN, ODOMETRY, POSE
 from .ros_reader import RosReader
 from .rosbag_limits import limit_rosbags
 from .stored_messages import StoredMessage
+from .unindexed_bag import read_unindexed
+
+ROS1_SUFFIXES = (".bag", ".active")
+"""Suffixes of ROS 1 bags; `.active` is that of a bag that the recorder has not closed."""
+OLD_MAGIC = b"#ROSRECORD"
+"""First bytes of bags of the versions 1.1 and 1.2."""
 
 limit_rosbags()
 
 
 class BagReader(RosReader):
-    """ROS 1 or ROS 2 bag as a `Source`. A damaged bag is read up to the damage, which is counted in the report; a bag
-    that cannot be opened raises RecordingError.
+    """ROS 1 or ROS 2 bag as a `Source`. A damaged bag is read up to the damage, which is counted in the report, a ROS 1
+    bag also without its index; a bag that cannot be opened raises RecordingError.
     """
 
     def __len__(self) -> int:
@@ -33,37 +40,70 @@ class BagReader(RosReader):
             return 0
 
     def _reader(self) -> Reader1 | Reader2:
-        return Reader1(self.path) if self.path.suffix == ".bag" else Reader2(self.path)
+        return Reader1(self.path) if self._is_ros1 else Reader2(self.path)
+
+    @property
+    def _is_ros1(self) -> bool:
+        return self.path.suffix in ROS1_SUFFIXES
 
     def _stored_messages(self, final: bool) -> Iterator[StoredMessage]:
-        encoding = "ros1" if self.path.suffix == ".bag" else "cdr"
-        number = 0
+        encoding = "ros1" if self._is_ros1 else "cdr"
         with ExitStack() as stack:
-            try:
-                reader = self._reader()
-                stack.enter_context(reader)
-                connections = [c for c in reader.connections if c.msgtype in self._types]
-                stored = reader.messages(connections) if connections else iter(())
-            except DecompressionError as error:
-                raise RecordingError(self.path, None, str(error)) from error
-            except Exception as error:  # rosbags raises exceptions of any type for damaged bags
-                reason = " ".join(str(error).split()) or type(error).__name__
-                raise RecordingError(self.path, None, f"is damaged or not a bag: {reason}") from error
-            while True:
+            messages = self._opened(stack, final)
+            for number in count(1):
                 try:
-                    following = next(stored, None)
+                    following = next(messages, None)
                 except DecompressionError as error:
                     raise RecordingError(self.path, None, str(error)) from error
-                except Exception:  # as above
+                except Exception:  # rosbags raises exceptions of any type for damaged bags
                     if final:
-                        self.skip(number + 1, "bag is truncated or damaged; it was read up to this point")
+                        self.skip(number, "bag is truncated or damaged; it was read up to this point")
                     return
                 if following is None:
                     return
-                number += 1
-                connection, received, data = following
+                topic, msgtype, received, data = following
                 if data is None:  # NULL in a database
                     if final:
                         self.skip(number, "message has no data")
                     continue
-                yield StoredMessage(number, connection.topic, connection.msgtype, encoding, received, bytes(data))
+                yield StoredMessage(number, topic, msgtype, encoding, received, bytes(data))
+
+    def _opened(self, stack: ExitStack, final: bool) -> Iterator[tuple[str, str, int, bytes | None]]:
+        """Return topic, type, time of reception and data of the messages, by the bag's index if it has one.
+
+        The bag stays open until `stack` is closed. Raises RecordingError if it cannot be opened.
+        """
+        try:
+            reader = self._reader()
+            stack.enter_context(reader)
+            connections = [c for c in reader.connections if c.msgtype in self._types]
+            stored = reader.messages(connections) if connections else iter(())
+        except DecompressionError as error:
+            raise RecordingError(self.path, None, str(error)) from error
+        except Exception as error:  # as above
+            if not self._has_messages_without_index():
+                raise RecordingError(self.path, None, self._reason(error)) from error
+            if final:
+                self.interpret("records in the order of the file, since the index of the bag is missing or damaged")
+            return read_unindexed(self.path, self._types)
+        return ((connection.topic, connection.msgtype, received, data) for connection, received, data in stored)
+
+    def _has_messages_without_index(self) -> bool:
+        """Return true for a ROS 1 bag of whose records at least one message of a supported type can be read."""
+        if not self._is_ros1:
+            return False
+        try:
+            return next(read_unindexed(self.path, self._types), None) is not None
+        except DecompressionError:  # raised again when the messages are read
+            return True
+        except (ValueError, OSError):
+            return False
+
+    def _reason(self, error: Exception) -> str:
+        """Return why the bag cannot be opened."""
+        if self._is_ros1:
+            with suppress(OSError), self.path.open("rb") as file:
+                if file.read(len(OLD_MAGIC)) == OLD_MAGIC:
+                    return "is a bag of before 2010; `rosbag filter OLD.bag NEW.bag True` of ROS 1 converts it"
+        reason = " ".join(str(error).split())
+        return f"is damaged or not a bag{f': {reason}' if reason else ''}"

@@ -50,7 +50,7 @@ class Run:
 
 @dataclass(slots=True)
 class _Part:
-    """Part of a drive of PART_DURATION: its scans, and the range of the odometry's rates in it."""
+    """Part of a drive of PART_DURATION: its scans, and the range of the rotation rates in it."""
 
     scans: list[Scan] = field(default_factory=list)
     slowest: float = np.inf
@@ -65,36 +65,50 @@ class _Part:
 class Turns:
     """Turns of a drive, collected from its messages in time order; memory does not grow with the number of scans.
 
-    odometry  (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    Turns are found by odometry. Without any, they are found by the scans, if those state the times of their beams.
+
+    odometry   (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    positions  (m, 2) of the base at these stamps, metres
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
         self._parts: list[_Part] = []
-        readings: list[tuple[float, float]] = []
+        readings: list[tuple[float, float, float, float]] = []
         part, end, last = _Part(), -np.inf, -np.inf
         for message in messages:
             if isinstance(message, Scan):
                 if message.stamp >= end:
-                    self._keep(part)
+                    self._keep(part, has_odometry=bool(readings))
                     part, end = _Part(), message.stamp + PART_DURATION
                 if message.stamp >= last + MIN_SCAN_PERIOD:
                     part.scans.append(message)
                     last = message.stamp
             elif isinstance(message, Odometry):
-                readings.append((message.stamp, float(message.pose[2])))
+                if not readings:
+                    self._parts.clear()  # those before were found by the scans
+                x, y, heading = message.pose.tolist()
+                readings.append((message.stamp, heading, x, y))
                 rate = _latest_rate(readings)
                 part.slowest, part.fastest = min(part.slowest, rate), max(part.fastest, rate)
-        self._keep(part)
-        self.odometry = _strictly_increasing(np.array(readings).reshape(-1, 2))
+        self._keep(part, has_odometry=bool(readings))
+        path = _strictly_increasing(np.array(readings).reshape(-1, 4))
+        self.odometry, self.positions = path[:, :2], path[:, 2:]
 
-    def _keep(self, part: _Part) -> None:
+    def _keep(self, part: _Part, has_odometry: bool) -> None:
         """Add a part, and drop those with the least activity if there are more scans than MAX_SCANS."""
+        if not has_odometry and (rates := _rates_of_scans(part.scans)):
+            part.slowest, part.fastest = min(rates), max(rates)
         if len(part.scans) < 2 or part.activity <= 0.0:
             return
         self._parts.append(part)
         self._parts.sort(key=lambda one: -one.activity)
         while sum(len(one.scans) for one in self._parts[:-1]) >= MAX_SCANS:
             self._parts.pop()
+
+    def path_at(self, stamps: Floats) -> Floats:
+        """Return the poses (n, 3) of the base by odometry at stamps (n,); headings are not wrapped."""
+        columns = [*self.positions.T, self.odometry[:, 1]]
+        return np.column_stack([np.interp(stamps, self.odometry[:, 0], column) for column in columns])
 
     @cached_property
     def runs(self) -> list[Run]:
@@ -103,19 +117,28 @@ class Turns:
         return _matched_runs([scan for part in parts for scan in part.scans])
 
 
-def _latest_rate(readings: list[tuple[float, float]]) -> float:
+def _latest_rate(readings: list[tuple[float, float, float, float]]) -> float:
     """Return the mean rotation rate over MIN_SCAN_PERIOD or more up to the last reading, rad/s; zero after a gap."""
-    stamp, heading = readings[-1]
-    for earlier, before in reversed(readings[-20:-1]):
+    stamp, heading, *_ = readings[-1]
+    for earlier, before, *_ in reversed(readings[-20:-1]):
         if stamp - earlier >= MIN_SCAN_PERIOD:
             return float(se2.wrap(heading - before)) / (stamp - earlier) if stamp - earlier < MAX_SCAN_PERIOD else 0.0
     return 0.0
 
 
+def _rates_of_scans(scans: Sequence[Scan]) -> list[float]:
+    """Return the rotation rates from scan to scan, rad/s; none for scans without times of their beams."""
+    return [
+        find_rotation(scan, before) / (scan.stamp - before.stamp)
+        for before, scan in pairwise(scans)
+        if scan.time_offsets.any() and scan.stamp - before.stamp < MAX_SCAN_PERIOD
+    ]
+
+
 def _strictly_increasing(readings: Floats) -> Floats:
-    """Return the readings (m, 2) without repeated stamps, headings unwrapped."""
+    """Return the readings (m, 4) without repeated stamps, headings unwrapped."""
     later = np.concatenate([[True], np.diff(readings[:, 0]) > 0.0])[: len(readings)]
-    return np.column_stack([readings[later, 0], np.unwrap(readings[later, 1])])
+    return np.column_stack([readings[later, 0], np.unwrap(readings[later, 1]), readings[later, 2:]])
 
 
 def _matched_runs(scans: list[Scan]) -> list[Run]:

@@ -92,10 +92,12 @@ class RecordingInput:
         if self._timing is None:
             return {}
         read_as = [*self.report.interpretations, *self._timing.corrections()]
-        facts: dict[str, Any] = {"timing": self._timing.figures(), "interpretations": read_as}
+        doubts = [*self.report.doubts, *self._timing.doubts()]
+        facts: dict[str, Any] = {"timing": self._timing.figures(), "interpretations": read_as, "doubts": doubts}
         if (second := self._second_timing) is not None:
             facts["second_timing"] = second.figures()
             read_as += [f"second lidar: {line}" for line in second.corrections()]
+            doubts += [f"second lidar: {line}" for line in second.doubts()]
         return facts
 
 

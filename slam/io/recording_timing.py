@@ -1,8 +1,9 @@
-"""Timing of a recording's lidar: what was found, what is corrected, and how commands say it."""
+"""Timing and direction of a recording's lidar: what was found, what is corrected, and how commands say it."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ if TYPE_CHECKING:
     from drivers.recordings.reader import RecordingReader
     from drivers.timing.beam_order import BeamOrderTest
     from drivers.timing.delay import Delay
+    from drivers.timing.mount_heading import MountHeading
 
     from ..config import Config, LidarConfig
 
@@ -28,12 +30,14 @@ class RecordingTiming:
     order_test      comparison of their orders; None if it was not made
     delay           delay of the lidar as found; None if it was not looked for, or is not determined
     used_delay      seconds that are compensated
+    mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
     """
 
     beams_reversed: bool = False
     order_test: BeamOrderTest | None = None
     delay: Delay | None = None
     used_delay: float = 0.0
+    mount_heading: MountHeading | None = None
 
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
@@ -52,11 +56,12 @@ class RecordingTiming:
         if reader is None:
             return cls(used_delay=set_delay or 0.0)
         test = reader.beam_order_test if lidar is None or lidar.beam_order == "auto" else None
+        heading = _contradicting(reader.mount_heading, None if lidar is None else lidar.mount)
         if set_delay is not None:
-            return cls(reader.beams_reversed, test, None, set_delay)
+            return cls(reader.beams_reversed, test, None, set_delay, heading)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beams_reversed, test, delay, used)
+        return cls(reader.beams_reversed, test, delay, used, heading)
 
     def compensated(self, config: Config) -> Config:
         """Return the settings with the delay that is compensated."""
@@ -100,6 +105,16 @@ class RecordingTiming:
             lines.append(f"{_late(self.used_delay, self.delay)}; compensated")
         return lines
 
+    def doubts(self) -> list[str]:
+        """Return what is probably wrong with the lidar's mount, as lines of text."""
+        if self.mount_heading is None:
+            return []
+        found, sigma = (math.degrees(value) for value in (self.mount_heading.found, self.mount_heading.sigma))
+        return [
+            f"the lidar seems to be turned by {found:.0f} ± {sigma:.0f} degrees on the robot, which its mount does not "
+            f"state: set lidar.mount=[0,0,{self.mount_heading.found:.2f}], or estimate it by `wclm calibrate`"
+        ]
+
 
 def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, RecordingTiming | None]:
     """Return the settings with each lidar's delay that a source shows, if none is set, and the timing of each lidar."""
@@ -112,6 +127,13 @@ def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, Reco
         second = second.beside(first)
     lidar = config.second_lidar.model_copy(update={"delay": second.used_delay})
     return config.model_copy(update={"second_lidar": lidar}), first, second
+
+
+def _contradicting(found: MountHeading | None, mount: Sequence[float] | None) -> MountHeading | None:
+    """Return the heading of a lidar if it contradicts the mount in the settings, else that of the scans."""
+    if found is None:
+        return None
+    return found if found.contradicts(found.stated if mount is None else mount[2]) else None
 
 
 def _evidence(test: BeamOrderTest | None) -> str:

@@ -33,8 +33,8 @@ def calibrate(
 ) -> None:
     """Estimate the lidar's mount and range bias and the odometry's scales from a recording.
 
-    The search starts from the mount in the recording or in lidar.mount, whose heading must be right to 20 degrees. All
-    results have standard errors. With --wheel-radius and --track the corrected values are printed, too.
+    The search starts from the mount in the recording or in lidar.mount, whose heading may be any. All results have
+    standard errors. With --wheel-radius and --track the corrected values are printed, too.
 
     The lidar's delay against odometry is estimated, too, and compensated as `wclm run` does.
 

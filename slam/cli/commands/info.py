@@ -63,7 +63,7 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))
     rows += [("read as", text) for text in [*found.report.interpretations, *timing.corrections()]]
-    rows += [("warning", text) for text in found.warnings]
+    rows += [("warning", text) for text in [*timing.doubts(), *found.warnings]]
     return [printable(line) for line in [found.name, *(f"  {name:<12}{text}" for name, text in rows)]]
 
 

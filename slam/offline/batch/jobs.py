@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.devices.device_spec import is_device_spec
-from drivers.source_factory import CARMEN_SUFFIXES
+from drivers.source_factory import BAG_SUFFIXES, CARMEN_SUFFIXES
 
 from ...config import Config
 from ...errors import OutputError, RecordingError
@@ -27,7 +27,7 @@ FINGERPRINT = "fingerprint"
 """Key of the fingerprint in `summary.json`."""
 LOGS = "logs"
 """Name of the directory of the logs, beside those of the results."""
-RECORDING_SUFFIXES = (*CARMEN_SUFFIXES, ".mcap", ".bag", ".db3")
+RECORDING_SUFFIXES = (*CARMEN_SUFFIXES, ".mcap", *BAG_SUFFIXES)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ estimate.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -92,9 +92,9 @@ class Calibration:
 def calibrate(messages: Iterable[Message], config: Config | None = None) -> Calibration:
     """Calibrate from a drive with turns in both directions, turns on the spot, and some metres straight ahead.
 
-    The search starts from the mount of the configuration, else from that of the scans; its heading must be right to 20
-    degrees. The delay of the lidar in the configuration is compensated. Raises MapError if there is no map or too
-    little motion.
+    The drive is mapped with the mount of the configuration, else with that of the scans; its heading may be any, as
+    scans are matched also against the odometry. The delay of the lidar in the configuration is compensated. Raises
+    MapError if there is no map or too little motion.
     """
     config = config or Config()
     delay = config.lidar.delay or 0.0
@@ -144,7 +144,8 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     def scaled_residuals(unknowns: Floats, sigma: Floats) -> Floats:
         return np.asarray((residuals(unknowns) / sigma).ravel())
 
-    start = [*mount, correction.length, correction.turning, correction.veer]
+    path = _interpolate(correction.apply(poses), stamps, finished.keyframe_stamps)
+    start = [*_closed_form_mount(se2.between(path[:-1], path[1:]), observed), *astuple(correction)]
     fit = least_squares(scaled_residuals, start, args=(np.ones(3),))
     noise = NORMAL_MAD * np.median(np.abs(residuals(fit.x)), axis=0)
     fit = least_squares(scaled_residuals, fit.x, loss="soft_l1", f_scale=ROBUST_SIGMAS, args=(noise,))
@@ -152,6 +153,19 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
     mount = np.array([x, y, float(se2.wrap(heading))])
     return Calibration(mount, OdometryCorrection(*factors), sigma, len(observed), turned, range_bias_of(slam))
+
+
+def _closed_form_mount(driven: Floats, observed: Floats) -> se2.Pose:
+    """Return the mount that relates motions of the base (n, 3) and of the lidar (n, 3) best, whatever its heading.
+
+    With the mount's position m and heading h, and the turn a of the base, R(h) t_lidar = t_base + (R(a) - I) m. It is
+    linear in m, cos h and sin h.
+    """
+    c, s = np.cos(driven[:, 2]) - 1.0, np.sin(driven[:, 2])
+    x, y = observed[:, 0], observed[:, 1]
+    rows = np.vstack([np.column_stack([-c, s, x, -y]), np.column_stack([-s, -c, y, x])])
+    (*position, cosine, sine), *_ = np.linalg.lstsq(rows, driven[:, :2].T.ravel())
+    return np.array([*position, np.arctan2(sine, cosine)])
 
 
 def _replace_odometry(drive: Sequence[Message], poses: Floats) -> Iterator[Message]:

@@ -89,7 +89,10 @@ def reason_without_walls(summary: dict[str, Any]) -> str:
         return f"no wall was found: {empty} of {scans} scans had no return; is the lidar covered, or all out of range?"
     if 2 * few > scans:
         return f"no wall was found: in {few} of {scans} scans nothing was straight and near; are ranges in metres?"
-    return "no wall was found: no straight line was seen from two places; `wclm features` shows the lines of a scan"
+    seen = "`wclm features` shows the lines of a scan"
+    if summary.get("keyframes") == 1:
+        return f"no wall was found: the lidar stayed in one place, and a wall must be seen from two; {seen}"
+    return f"no wall was found: no straight line was seen from two places; {seen}"
 
 
 def _wall_findings(summary: dict[str, Any]) -> Iterator[Finding]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import Odometry
+from drivers.messages import Message, Odometry, YawRate
 from drivers.recordings.time_ordering import order_by_time
 
 
@@ -93,13 +96,64 @@ def test_no_message_is_lost_if_the_clock_is_set_back() -> None:
     assert "set back" in anomalies.noted[0]
 
 
+def two_sensors(stall: float) -> list[Message]:
+    """Return 100 s of two sensors at 10 Hz; the link of the second one stalls after 30 s, for `stall` seconds."""
+    arrivals: list[tuple[float, int, Message]] = []
+    for k in range(1000):
+        stamp = 100 + 0.1 * k
+        arrivals.append((stamp, 2 * k, Odometry(stamp, np.zeros(3))))
+        arrived = 130.0 + stall if 30.0 <= stamp - 100 < 30.0 + stall else stamp + 0.05
+        arrivals.append((arrived, 2 * k + 1, YawRate(stamp + 0.05, 0.0)))
+    return [message for _, _, message in sorted(arrivals, key=lambda one: one[:2])]
+
+
+@pytest.mark.parametrize("stall", [0.5, 5.0, 28.0])
+def test_messages_of_a_sensor_that_arrive_late_are_sorted(stall: float) -> None:
+    anomalies = Anomalies()
+    messages = two_sensors(stall)
+    assert [m.stamp for m in messages] != sorted(m.stamp for m in messages)
+    out = list(order_by_time(enumerate(messages), anomalies))
+    assert out == sorted(messages, key=lambda message: message.stamp)
+    assert not anomalies.skipped
+    assert not any("set back" in reason for reason in anomalies.noted)
+    assert any("more than a second late" in reason for reason in anomalies.noted) == (stall > 1.0)
+
+
+def test_the_clock_of_two_sensors_is_set_back() -> None:
+    first = two_sensors(0.0)
+    stamps = [replace(message, stamp=message.stamp - 3600) for message in first]
+    anomalies = Anomalies()
+    out = [message.stamp for message in order_by_time(enumerate([*first, *stamps]), anomalies)]
+    assert len(out) == 4000
+    assert out == sorted(out)
+    assert np.max(np.diff(out)) < 0.11
+    assert [reason for reason in anomalies.noted if "sorted" not in reason] == [
+        "clock was set back; later stamps are shifted"
+    ]
+
+
+def test_a_sensor_that_falls_silent_delays_the_others_for_a_minute_at_most() -> None:
+    messages = [YawRate(100.0, 0.0), *(Odometry(100.1 + 0.1 * k, np.zeros(3)) for k in range(2000))]
+    read: list[float] = []
+
+    def numbered() -> Iterator[tuple[int, Message]]:
+        for number, message in enumerate(messages):
+            read.append(message.stamp)
+            yield number, message
+
+    for out in order_by_time(numbered(), Anomalies()):
+        assert read[-1] - out.stamp < 61.2
+
+
 def test_few_messages_need_no_confirmation() -> None:
     assert order([1.0, 1.1])[0] == [1.0, 1.1]
     assert order([])[0] == []
 
 
-@given(st.lists(st.floats(0, 1e9), max_size=60))
-def test_output_never_decreases_and_every_message_is_counted(stamps: list[float]) -> None:
-    out, anomalies = order(stamps)
+@given(st.lists(st.tuples(st.floats(0, 1e9) | st.floats(0, 100), st.booleans()), max_size=60))
+def test_output_never_decreases_and_every_message_is_counted(messages: list[tuple[float, bool]]) -> None:
+    anomalies = Anomalies()
+    of_sensors = [Odometry(stamp, np.zeros(3)) if first else YawRate(stamp, 0.0) for stamp, first in messages]
+    out = [message.stamp for message in order_by_time(enumerate(of_sensors), anomalies)]
     assert out == sorted(out)
-    assert len(out) + len(anomalies.skipped) == len(stamps)
+    assert len(out) + len(anomalies.skipped) == len(messages)

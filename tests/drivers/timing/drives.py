@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 
 import drivers
+from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 
 
@@ -36,3 +37,14 @@ def with_late_scans(drive: tuple[Message, ...], seconds: float) -> list[Message]
     """Return the drive with the stamps of scans moved, in time order."""
     moved = [replace(m, stamp=m.stamp + seconds) if isinstance(m, Scan) else m for m in drive]
     return sorted(moved, key=lambda message: message.stamp)
+
+
+def with_turned_lidar(drive: tuple[Message, ...], heading: float) -> list[Message]:
+    """Return the drive of a robot on which the lidar has this heading, which the scans do not state."""
+    turned: list[Message] = []
+    for message in drive:
+        if isinstance(message, Scan):
+            turned.append(replace(message, mount=None))
+        elif isinstance(message, Odometry):
+            turned.append(replace(message, pose=se2.compose(message.pose, np.array([0.0, 0.0, -heading]))))
+    return turned

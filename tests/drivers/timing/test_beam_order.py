@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import drivers
-from drivers.messages import Message, Scan, with_reversed_times
+from drivers.messages import Message, Odometry, Scan, with_reversed_times
 from drivers.recordings.mcap import McapWriter
 from drivers.timing.beam_order import decide_beam_order
 from drivers.timing.turns import Turns
@@ -28,7 +29,24 @@ def test_order_is_found_for_both_directions_of_rotation(clockwise: bool) -> None
     assert decide_beam_order(Turns(with_reversed_scans(drive))).order == "reversed"
 
 
+def test_order_is_found_without_odometry() -> None:
+    scans = tuple(message for message in office_drive() if isinstance(message, Scan))
+    assert decide_beam_order(Turns(scans)).order == "forward"
+    assert decide_beam_order(Turns(with_reversed_scans(scans))).order == "reversed"
+
+
+def test_odometry_that_begins_late_finds_the_turns() -> None:
+    drive = office_drive()
+    late = [message for message in drive if isinstance(message, Scan) or message.stamp > drive[0].stamp + 15.0]
+    first = next(message.stamp for message in late if isinstance(message, Odometry))
+    runs = Turns(late).runs
+    assert runs
+    assert all(run.scans[-1].stamp > first for run in runs)
+
+
 def test_nothing_is_said_of_a_robot_that_does_not_turn() -> None:
+    scans = [message for message in office_drive() if isinstance(message, Scan)]
+    assert decide_beam_order(Turns(replace(scans[0], stamp=scan.stamp) for scan in scans)).order is None
     assert decide_beam_order(Turns(drivers.open("sim:corridor?duration=15&lidar=short"))).order is None
     assert decide_beam_order(Turns([])).order is None
 

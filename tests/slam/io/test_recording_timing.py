@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,7 +21,7 @@ from slam.config import Config, load_config
 from slam.io.recording_timing import RecordingTiming
 from slam.io.recordings import has_odometry
 
-from ...drivers.timing.drives import office_drive, with_late_scans
+from ...drivers.timing.drives import office_drive, with_late_scans, with_turned_lidar
 
 DELAY = 0.3
 
@@ -49,6 +50,20 @@ def test_both_errors_are_found_and_corrected(wrong_recording: Path) -> None:
     assert delay.endswith("late against odometry; compensated")
     assert found.findings() == []
     assert run_input.facts()["interpretations"] == [order, delay]
+
+
+def test_a_lidar_that_points_backwards_is_doubtful(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in with_turned_lidar(office_drive(), np.pi):
+            writer.write(message)
+    run_input = RecordingInput(drivers.open(path), reopen=str(path))
+    config = run_input.resolve(Config())
+    assert config.lidar.mount is None
+    (doubt,) = run_input.facts()["doubts"]
+    assert re.match(r"the lidar seems to be turned by -?1(79|80) ± \d degrees on the robot", doubt)
+    set_mount = load_config(None, ["lidar.mount=[0,0,3.1]"])
+    assert RecordingTiming.of(drivers.open(path), set_mount.lidar).doubts() == []
 
 
 def test_settings_take_precedence(wrong_recording: Path) -> None:

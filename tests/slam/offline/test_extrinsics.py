@@ -39,6 +39,16 @@ def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
     assert np.all(found.sigma < [0.005, 0.005, 0.003, 0.002, 0.02, 0.02])
 
 
+@pytest.mark.parametrize("heading", [3.1, -1.7])
+def test_a_lidar_that_points_backwards_or_aside_is_found(heading: float) -> None:
+    mount = np.array([0.15, -0.05, heading])
+    simulation = Simulation("office", seed=3, duration=45.0, lidar=LidarModel(beams=360), mount=mount)
+    found = calibrate(simulation, Config(lidar=LidarConfig(mount=(0.0, 0.0, 0.0))))
+    error = values(found) - true_values(simulation)
+    error[:3] = found.mount - mount
+    assert np.all(np.abs(error) < 4 * found.sigma)
+
+
 @pytest.mark.slow
 def test_standard_errors_are_consistent() -> None:
     scaled = []

@@ -231,9 +231,14 @@ def test_long_lists_of_doubts_are_folded_and_a_doubtful_map_is_not_praised(tmp_p
     ],
 )
 def test_a_map_without_walls_is_explained(health: dict[str, int], reason: str) -> None:
-    summary = {"walls": 0, "scans": 100, "slam": {"health": health}}
+    summary = {"walls": 0, "scans": 100, "keyframes": 7, "slam": {"health": health}}
     assert reason in reason_without_walls(summary)
     assert reason_without_walls(summary | {"walls": 1}) == ""
+
+
+def test_a_lidar_that_stays_in_one_place_is_named() -> None:
+    summary = {"walls": 0, "scans": 100, "keyframes": 1, "slam": {"health": {}}}
+    assert "the lidar stayed in one place" in reason_without_walls(summary)
 
 
 # The command

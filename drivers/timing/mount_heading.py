@@ -1,0 +1,98 @@
+"""Estimate the direction that a lidar points in on its robot, to find one that is mounted backwards or aside.
+
+Over pairs of scans SPAN apart, the lidar's motion t from scan matching is compared with that of the base by odometry, b
+and its turn a. With the mount's position m and heading h,
+
+    R(h) t = b + (R(a) - I) m,
+
+which is linear in m, cos h and sin h; the common scale of the latter two is that of odometry's distances. The standard
+deviation is that of the jackknife over the pairs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .. import se2
+from ..messages import Floats
+from .student import upper_limit
+from .turns import Run, Turns
+
+# Seconds between the scans of a pair at least. Origin: chosen, as for delays; motions exceed the error of matching.
+SPAN = 1.0
+# Seconds between odometry readings at most, to interpolate between them.
+# Origin: chosen, as between scans; not measured.
+MAX_PERIOD = 0.6
+# Pairs for an estimate at least. Origin: chosen; a jackknife of fewer says little about the standard deviation.
+MIN_PAIRS = 8
+# Factor of odometry's distances, or its inverse, beyond which they are not those of the lidar.
+# Origin: chosen, well beyond calibration errors.
+MAX_SCALE = 2.0
+# Radians by which the heading must differ from the stated one: smaller errors are estimated while driving.
+# Origin: chosen, 20 degrees; a mount that was measured by eye is better.
+MIN_DIFFERENCE = 0.35
+# Probability of finding a wrong heading where it is right. Origin: chosen, so that no user meets it.
+ERROR_PROBABILITY = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class MountHeading:
+    """Heading of a lidar on its robot as found from a drive, radians in [-pi, pi).
+
+    stated   by the recording's scans, 0 if they do not state it
+    found    from the drive
+    sigma    standard deviation of `found`
+    pairs    pairs of scans
+    """
+
+    stated: float
+    found: float
+    sigma: float
+    pairs: int
+
+    def contradicts(self, heading: float) -> bool:
+        """Return true if the lidar certainly points more than MIN_DIFFERENCE away from a heading."""
+        difference = abs(float(se2.wrap(self.found - heading)))
+        return difference - MIN_DIFFERENCE > self.sigma * upper_limit(ERROR_PROBABILITY, self.pairs - 1)
+
+
+def estimate_mount_heading(turns: Turns) -> MountHeading | None:
+    """Return the heading over the turns of a drive; None if the data do not determine it."""
+    equations = [equation for run in turns.runs for equation in _equations(run, turns)]
+    if len(equations) < MIN_PAIRS:
+        return None
+    normal = np.array([rows.T @ rows for rows, _ in equations])
+    right = np.array([rows.T @ values for rows, values in equations])
+    try:
+        all_pairs = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
+        without_one = np.linalg.solve(normal.sum(axis=0) - normal, (right.sum(axis=0) - right)[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:  # nothing moved
+        return None
+    found = float(np.arctan2(all_pairs[3], all_pairs[2]))
+    differences = se2.wrap(np.arctan2(without_one[:, 3], without_one[:, 2]) - found)
+    count = len(equations)
+    sigma = float(np.sqrt((count - 1) / count * (differences**2).sum()))
+    if not 1.0 / MAX_SCALE < float(np.hypot(all_pairs[2], all_pairs[3])) < MAX_SCALE or not np.isfinite(sigma):
+        return None
+    mount = turns.runs[0].scans[0].mount
+    return MountHeading(0.0 if mount is None else float(mount[2]), found, sigma, count)
+
+
+def _equations(run: Run, turns: Turns) -> list[tuple[Floats, Floats]]:
+    """Return the rows (2, 4) and right sides (2,) of the pairs of a run, for m, cos h and sin h."""
+    stamps, equations = turns.odometry[:, 0], []
+    first = 0
+    while (second := int(np.searchsorted(run.stamps, run.stamps[first] + SPAN))) < len(run.stamps):
+        low, high = np.searchsorted(stamps, [run.stamps[first], run.stamps[second]])
+        around = stamps[max(0, low - 1) : high + 1]
+        inside = len(around) > 1 and around[0] <= run.stamps[first] and around[-1] >= run.stamps[second]
+        if inside and float(np.diff(around).max()) < MAX_PERIOD:
+            x, y, _ = se2.between(run.poses[first], run.poses[second])
+            base = turns.path_at(run.stamps[[first, second]])
+            forward, left, turn = se2.between(base[0], base[1])
+            c, s = np.cos(turn) - 1.0, np.sin(turn)
+            equations.append((np.array([[-c, s, x, -y], [-s, -c, y, x]]), np.array([forward, left])))
+        first = second
+    return equations
