@@ -13,11 +13,12 @@ from ..mapping.mapper import Mapper
 from .scanned_map import ScannedDrive, SubmapScan, scan_drive, scan_submap
 
 # Submaps that are searched for. Origin: chosen, for time; the longest drive that was needed on a recording is 27 m.
-MAX_SUBMAPS = 10
-# Metres of driving between two searches, and the share of the drive that is searched for: a longer one takes more time.
-# Origin: chosen; not measured.
+MAX_SUBMAPS = 8
+# Metres of driving between two searches, the same as a share of the drive so far, as a longer one takes more time to
+# search for, and at most, so that each place is in two drives. Origin: chosen; not measured.
 SEARCH_DISTANCE = 1.0
 SEARCH_SHARE = 0.2  # Origin: as SEARCH_DISTANCE.
+MAX_SEARCH_DISTANCE = 0.5 * MAX_SUBMAPS * SUBMAP_LENGTH  # Origin: as SEARCH_DISTANCE.
 
 
 class DriveScans:
@@ -40,8 +41,8 @@ class DriveScans:
     def is_due(self, mapper: Mapper, first: int) -> bool:
         """Return True if the drive since a keyframe has become so much longer that it is worth a search."""
         now = mapper.travelled[-1]
-        length = min(now - mapper.travelled[first], MAX_SUBMAPS * SUBMAP_LENGTH)
-        return bool(now - self._searched >= max(SEARCH_DISTANCE, SEARCH_SHARE * length))
+        distance = SEARCH_SHARE * (now - mapper.travelled[first])
+        return bool(now - self._searched >= min(MAX_SEARCH_DISTANCE, max(SEARCH_DISTANCE, distance)))
 
     def take(self, mapper: Mapper, local_field: LocalField, first: int) -> ScannedDrive:
         """Return the last submaps of the drive since a keyframe, to be searched for now."""
