@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Pose = NDArray[np.float64]
+Angle = TypeVar("Angle", float, NDArray[np.float64])
 
 
 def wrap(angle: ArrayLike) -> NDArray[np.float64]:
     """Return the angle (radians, any shape) wrapped to [-pi, pi)."""
+    if isinstance(angle, float):  # NumPy's float64 is one, too
+        return np.asarray(_wrapped(float(angle)))
     return np.asarray(_wrapped(np.asarray(angle, dtype=np.float64)))
 
 
@@ -92,7 +96,7 @@ def _inverse(pose: Sequence[float]) -> tuple[float, float, float]:
 # np.stack, and trigonometry on zero-dimensional arrays, would take four times as long.
 
 
-def _wrapped(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _wrapped(angle: Angle) -> Angle:
     return (angle + math.pi) % (2 * math.pi) - math.pi
 
 

@@ -286,6 +286,7 @@ class Slam:
         self._journal.mark_last_decided(self.slam_state.keyframe_stamps)
         self._session = session or self._stored.at_end(self.slam_state.copy())
         self.slam_state.local_field.begin_part()  # frees some megabytes: no scan is matched with it any more
+        self.slam_state.loops.free_submaps()
         if self._extends_map:
             self._statistics.merged_walls += converge(self.slam_state.mapper)
             settle_plan(self.slam_state, self._journal, self._publisher)

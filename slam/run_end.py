@@ -15,6 +15,7 @@ from .estimation.slam_state import SlamState
 from .estimation.wall_bends import settle_wall_bends
 from .events import Notice
 from .localisation.tracking import PoseFix
+from .memory import return_freed_memory
 from .odometry.scan_delay import ScanDelay, estimate_scan_delay
 from .publisher import Publisher
 from .run_statistics import RunStatistics
@@ -71,6 +72,7 @@ def settle_trajectory(state: SlamState, journal: Journal, publisher: Publisher, 
     """
     history = journal.history(state)
     summary = _refine_or_match(state, journal, history, publisher, refined=refined)
+    return_freed_memory()  # of the matches, else what is written would add to it
     bends, delay = settle_wall_bends(state.mapper, history), find_scan_delay(state, journal)
     return summary | {"wall_bends": bends, "scan_delay": None if delay is None else delay.row()}
 

@@ -39,7 +39,8 @@ class Pattern:
     @classmethod
     def of_pairs(cls, count: int, pairs: Integers) -> Pattern:
         """Find an order with little fill-in for `count` variables, given the pairs (m, 2) whose blocks are not zero."""
-        rank = _ranks(count, np.unique(np.sort(pairs, axis=1), axis=0))
+        first, second = np.sort(pairs, axis=1).T
+        rank = _ranks(count, np.column_stack(np.divmod(np.unique(first * count + second), count)))
         ranked = np.sort(rank[pairs], axis=1)
         given = np.unique(ranked[:, 0] * count + ranked[:, 1])
         starts, rows = _fill_in(count, given // count, given % count)

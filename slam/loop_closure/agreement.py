@@ -96,6 +96,10 @@ class LoopAgreement:
         kept = LoopAgreementState(state.last_search, candidates=state.candidates, retracted=state.retracted)
         self._restore(kept, Submaps())
 
+    def free_submaps(self) -> None:
+        """Free the submaps of old places, some megabytes. They are built again if a place is searched."""
+        self._submaps = Submaps()
+
     @property
     def correction_likely(self) -> bool:
         """True if the last look contradicted the estimate and supported another hypothesis."""

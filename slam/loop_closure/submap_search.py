@@ -89,7 +89,7 @@ def build_submap(poses: Floats, points: Sequence[NDArray[np.floating]], half_wid
     """Build a submap from keyframes at `poses` (k, 3) in its frame, each with points (p, 4) in its own."""
     field = DistanceField.empty(np.zeros(2), half_width)
     field.insert_scans(poses, points)
-    return Submap(_moved(poses, points), field)
+    return Submap(_moved(poses, points), field.completed())
 
 
 def _moved(poses: Floats, scans: Sequence[NDArray[np.floating]]) -> Floats:

@@ -79,6 +79,10 @@ class DistanceField:
         origin = _origin(centre, 0.5 * len(self.seen) * SEEN_CELL)
         return DistanceField(origin, self.offsets, self.seen, self.waiting)
 
+    def completed(self) -> DistanceField:
+        """Return the field in as little memory as it needs to be matched with: no scan can be inserted any more."""
+        return DistanceField(self.origin, self.offsets.copy(), self.seen, WaitingPoints.empty(0))
+
     def __deepcopy__(self, memo: dict[int, object]) -> DistanceField:
         """Return an independent copy."""
         return DistanceField(self.origin, self.offsets.copy(), self.seen.copy(), self.waiting.copy())

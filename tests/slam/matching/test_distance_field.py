@@ -240,3 +240,13 @@ def test_a_cleared_field_is_like_a_new_one() -> None:
     np.testing.assert_array_equal(cleared.origin, new.origin)
     np.testing.assert_array_equal(cleared.seen, new.seen)
     np.testing.assert_array_equal(offsets_of(cleared), offsets_of(new))
+
+
+def test_a_completed_field_has_the_same_values_in_less_memory() -> None:
+    field = DistanceField.empty(np.zeros(2), HALF_WIDTH)
+    field.insert(np.zeros(3), wall_points(np.array([1.0, 0.2]), np.array([-1.0, 0.0])))
+    completed = field.completed()
+    assert np.array_equal(offsets_of(completed), offsets_of(field))
+    assert np.array_equal(completed.seen, field.seen)
+    assert len(completed.offsets.tiles) == field.offsets.count < len(field.offsets.tiles)
+    assert completed.waiting.scan_of.nbytes == 0
