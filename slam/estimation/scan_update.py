@@ -46,6 +46,9 @@ FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
 # `SlamState.steps` made elsewhere between two visits.
 # Origin: chosen, about 7 m of driving; not measured.
 VISIT_GAP = 20
+# Seconds after which a robot that stands where a part of the map begins takes a second look.
+# Origin: chosen, people have moved on meanwhile; not measured.
+SECOND_LOOK_TIME = 2.0
 # Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
 UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
 # Metres from the last tracked pose above which the local map is taken from around the predicted pose instead.
@@ -99,7 +102,8 @@ def update_map(
     """
     update = None
     _extend_trajectory_by_tentative(state, scan.stamp, tracking)
-    if tracking.status is TrackingStatus.TRACKED and _moved_enough(state, tracking.predicted.pose):
+    adds_keyframe = _moved_enough(state, tracking.predicted.pose) or _stands_at_first_keyframe(state, scan.stamp)
+    if tracking.status is TrackingStatus.TRACKED and adds_keyframe:
         state.pose = tracking.registration.pose
         familiar = _familiar_keyframe(state, tracking)
         if familiar is None:
@@ -126,6 +130,15 @@ def _moved_enough(state: SlamState, predicted: se2.Pose) -> bool:
     motion, mapping = se2.between(state.anchor_pose, predicted), state.config.mapping
     far = np.hypot(motion[0], motion[1]) > mapping.keyframe_distance or abs(motion[2]) > mapping.keyframe_turn
     return state.anchor is None or state.at_part_begin or bool(far)
+
+
+def _stands_at_first_keyframe(state: SlamState, stamp: float) -> bool:
+    """Return True if a second look is due where a part of the map begins and the robot stands.
+
+    A wall enters the map when a second keyframe has seen it. So there would be no map until the robot drives.
+    """
+    is_first = state.mapper.landmarks.parts.firsts[-1] == state.mapper.keyframe_count - 1
+    return is_first and not state.frozen and stamp - state.keyframe_stamps[-1] >= SECOND_LOOK_TIME
 
 
 def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None:

@@ -54,6 +54,19 @@ def drive_result(drive: list[Message]) -> Finished:
     return run(drive)
 
 
+def test_a_robot_that_only_stands_maps_what_it_sees_but_not_who_passes(drive: list[Message]) -> None:
+    first = next(message for message in drive if isinstance(message, Scan))
+    walker, ahead = replace(first, ranges=first.ranges.copy()), np.abs(first.angles) < 0.3
+    walker.ranges[ahead] = 0.8 / np.cos(first.angles[ahead])  # a flat board in front of the lidar
+    standing: list[Message] = [Odometry(0.05 * k, np.zeros(3)) for k in range(81)]
+    standing += [replace(walker if k < 10 else first, stamp=0.1 * k) for k in range(40)]
+    finished = run(sorted(standing, key=lambda message: message.stamp))
+    assert len(finished.keyframes) == 2
+    assert len(finished.walls) >= 3
+    assert np.abs(finished.walls.frame[:, :2]).max(axis=1).min() > 1.0  # none is where the board was
+    assert len(run(message for message in standing if message.stamp < 1.9).walls) == 0
+
+
 @pytest.mark.parametrize(
     ("jump", "level"), [([0.0, 0.0, np.radians(8.0)], "TRACE"), ([0.0, 0.0, np.radians(20.0)], "WARN")]
 )
