@@ -31,7 +31,7 @@ from .local_map import LOCAL_MAP_MARGIN, LocalMap, local_map_around
 from .mapped_keyframes import MappedKeyframes
 from .part_gauge import PartGauge, move_group
 from .read_back import observed_landmarks, read_back_landmarks
-from .unconfirmed_observations import CONFIRMING_KEYFRAMES, UnconfirmedObservations
+from .unconfirmed_observations import UnconfirmedObservations
 from .waiting_keyframes import WaitingKeyframe, WaitingKeyframes
 from .wall_merging import find_observed_duplicate
 from .wall_removal import FreeSpaceEvidence
@@ -133,7 +133,7 @@ class Mapper(MappedKeyframes):
         point_motion: PointMotion | None = None,
         points: Floats = NO_POINTS,
     ) -> KeyframeObservations:
-        """Add a keyframe near `pose`; the graph is updated after some of them, see `WaitingKeyframes.has_moved_on`.
+        """Add a keyframe near `pose`; the graph is updated after SOLVE_DISTANCE or SOLVE_TURN.
 
         motion        from an earlier keyframe; None for the first
         association   of its segments and corners with rows of `local_map`; unmatched features become landmarks
@@ -160,9 +160,7 @@ class Mapper(MappedKeyframes):
         self.append_covariance()
         # while the map has unconnected parts, decisions to join them need the covariances of each keyframe
         apart = self.landmarks.parts.apart
-        first_seen = self.landmarks.walls.rows["first_seen"]
-        begins = keyframe < CONFIRMING_KEYFRAMES  # a map should show as soon as there is one
-        if begins or apart or self._waiting.has_moved_on(self.keyframe_poses, self.travelled, first_seen):
+        if keyframe == 0 or apart or self._waiting.has_moved_on(self.keyframe_poses, self.travelled):
             self.graph.update()
         return observations
 

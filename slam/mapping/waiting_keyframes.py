@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import Floats, Integers, Segments
+from ..geometry.segments import Floats, Segments
 from ..odometry.correlated_drift import embed_position_covariance
 from .keyframes import LandmarkIds
 from .local_map import LOCAL_MAP_MARGIN
@@ -26,13 +26,6 @@ SOLVE_DISTANCE = 0.5 * LOCAL_MAP_MARGIN
 # Radians of turning likewise, the sum of those between keyframes. Origin: chosen, a quarter of the field of view of a
 # half-circle lidar: most of a scan still shows walls that were read back.
 SOLVE_TURN = math.radians(45.0)
-# Multiple of both in a known place. Origin: definition, the distance is LOCAL_MAP_MARGIN then. Measured: everywhere, it
-# would save more time, but over eight perturbed runs each the mean error of a drive with one scan per metre grew from
-# 0.27 to 0.33 m, and that with a lidar of 4 m from 0.40 to 0.44 m. In known places only, they are 0.27 and 0.39 m.
-KNOWN_PLACE_FACTOR = 2.0
-# A place is known if this share of the wall length that each keyframe observes is on walls that were mapped before the
-# graph was solved last. Origin: chosen, as for familiar places; not measured.
-MIN_KNOWN_SHARE = 0.8
 # Keyframes after which the estimate of all landmarks is read back, not only of those nearby.
 # Origin: chosen, the cost of reading all back becomes negligible; not measured.
 FULL_READ_BACK_INTERVAL = 20
@@ -70,29 +63,14 @@ class WaitingKeyframes:
         """Append a keyframe that was added to the graph."""
         self._keyframes.append(keyframe)
 
-    def has_moved_on(self, poses: Floats, travelled: Sequence[float], first_seen: Integers) -> bool:
-        """Return True if the robot has driven or turned so far that the graph has to be solved.
+    def has_moved_on(self, poses: Floats, travelled: Sequence[float]) -> bool:
+        """Return True if the robot has driven SOLVE_DISTANCE or turned SOLVE_TURN since the graph was solved.
 
-        That is SOLVE_DISTANCE or SOLVE_TURN since the last solution, KNOWN_PLACE_FACTOR times as much in a known place.
-
-        poses, travelled  (k, 3) and metres driven of all keyframes
-        first_seen        (w,) first keyframe that observed each wall
+        `poses` (k, 3) and metres driven, `travelled`, are those of all keyframes.
         """
         solved = max(0, len(poses) - 1 - len(self))
         turned = np.abs(se2.wrap(np.diff(poses[solved:, 2]))).sum()
-        moved = max((travelled[-1] - travelled[solved]) / SOLVE_DISTANCE, float(turned) / SOLVE_TURN)
-        if moved < 1.0:
-            return False
-        return moved >= KNOWN_PLACE_FACTOR or not self._in_known_place(solved, first_seen)
-
-    def _in_known_place(self, solved: int, first_seen: Integers) -> bool:
-        """Return True if each of the keyframes has mainly observed walls that keyframes up to `solved` had observed."""
-        for keyframe in self._keyframes:
-            known, lengths = keyframe.landmark_ids.walls >= 0, keyframe.segments.half_length
-            known[known] = first_seen[keyframe.landmark_ids.walls[known]] <= solved
-            if not lengths[known].sum() >= MIN_KNOWN_SHARE * lengths.sum() > 0.0:
-                return False
-        return True
+        return bool(travelled[-1] - travelled[solved] >= SOLVE_DISTANCE or turned >= SOLVE_TURN)
 
     def read_back(self, mapper: Mapper) -> list[Floats]:
         """Read back the keyframes, with which the graph was solved, and the landmarks around them; none wait then.
