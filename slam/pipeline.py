@@ -15,6 +15,7 @@ from .config import Config
 from .errors import MapError, SlamError
 from .estimation.estimator import Estimator
 from .estimation.map_view import final_result, map_features
+from .estimation.scan_update import add_second_look
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
 from .events import Finished, GroundTruthReceived, ModeChanged, Notice, Sink
@@ -282,6 +283,7 @@ class Slam:
             raise MapError(f"{self._preprocessor.scans} scans, but no odometry; add --no-odometry to map without")
         session = self._session_with_queue()
         self._process_queue()
+        add_second_look(self.slam_state)
         self._leave_out_unknown_session()
         self._journal.mark_last_decided(self.slam_state.keyframe_stamps)
         self._session = session or self._stored.at_end(self.slam_state.copy())

@@ -46,8 +46,8 @@ FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
 # `SlamState.steps` made elsewhere between two visits.
 # Origin: chosen, about 7 m of driving; not measured.
 VISIT_GAP = 20
-# Seconds after which a robot that stands where a part of the map begins takes a second look.
-# Origin: chosen, people have moved on meanwhile; not measured.
+# Seconds between the two looks of a robot that only stands. Origin: chosen, people have moved on meanwhile; not
+# measured.
 SECOND_LOOK_TIME = 2.0
 # Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
 UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
@@ -102,8 +102,8 @@ def update_map(
     """
     update = None
     _extend_trajectory_by_tentative(state, scan.stamp, tracking)
-    adds_keyframe = _moved_enough(state, tracking.predicted.pose) or _stands_at_first_keyframe(state, scan.stamp)
-    if tracking.status is TrackingStatus.TRACKED and adds_keyframe:
+    tracked = tracking.status is TrackingStatus.TRACKED
+    if tracked and _moved_enough(state, tracking.predicted.pose):
         state.pose = tracking.registration.pose
         familiar = _familiar_keyframe(state, tracking)
         if familiar is None:
@@ -111,7 +111,21 @@ def update_map(
         else:
             _pass_familiar_place(state, familiar, scan, tracking)
     extend_trajectory(state, scan.stamp, tracking)
+    second_look = tracked and update is None and _stands_at_first_keyframe(state, scan.stamp)
+    state.second_look = (scan, tracking) if second_look else None
     return update
+
+
+def add_second_look(state: SlamState) -> None:
+    """Make the last scan a keyframe if the robot has only stood where a part of the map begins.
+
+    A wall enters the map when a second keyframe has seen it, so there would be no map. While the robot may still drive
+    on, a second look from the same place is no keyframe: with the same errors, it would count them as independent.
+    """
+    if state.second_look is not None:
+        scan, tracking = state.second_look
+        state.second_look, state.pose = None, tracking.registration.pose
+        _add_keyframe(state, scan, tracking, StageTimer())
 
 
 def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
@@ -133,10 +147,7 @@ def _moved_enough(state: SlamState, predicted: se2.Pose) -> bool:
 
 
 def _stands_at_first_keyframe(state: SlamState, stamp: float) -> bool:
-    """Return True if a second look is due where a part of the map begins and the robot stands.
-
-    A wall enters the map when a second keyframe has seen it. So there would be no map until the robot drives.
-    """
+    """Return True if the robot has stood for some time where a part of the map begins."""
     is_first = state.mapper.landmarks.parts.firsts[-1] == state.mapper.keyframe_count - 1
     return is_first and not state.frozen and stamp - state.keyframe_stamps[-1] >= SECOND_LOOK_TIME
 

@@ -98,6 +98,7 @@ class SlamState:
     plan                 plan of the building that supports the map; None without one
     untracked_scans      the last scans in a row that fitted nowhere, or only tentatively
     tentative            stamps and results of the last scans in a row whose tentative poses were found one from another
+    second_look          last scan and its result, if the robot has only stood where a part of the map begins
     """
 
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
@@ -121,6 +122,7 @@ class SlamState:
         self.plan: PlanPrior | None = None
         self.untracked_scans: list[ProcessedScan] = []
         self.tentative: list[tuple[float, TrackingResult]] = []
+        self.second_look: tuple[ProcessedScan, TrackingResult] | None = None
 
     @classmethod
     def restored(
