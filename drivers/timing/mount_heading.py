@@ -41,13 +41,13 @@ ERROR_PROBABILITY = 1e-6
 class MountHeading:
     """Heading of a lidar on its robot as found from a drive, radians in [-pi, pi).
 
-    stated   by the recording's scans, 0 if they do not state it
+    stated   by the recording's scans; None if they do not state it
     found    from the drive
     sigma    standard deviation of `found`
     pairs    pairs of scans
     """
 
-    stated: float
+    stated: float | None
     found: float
     sigma: float
     pairs: int
@@ -77,7 +77,7 @@ def estimate_mount_heading(turns: Turns) -> MountHeading | None:
     if not 1.0 / MAX_SCALE < float(np.hypot(all_pairs[2], all_pairs[3])) < MAX_SCALE or not np.isfinite(sigma):
         return None
     mount = turns.runs[0].scans[0].mount
-    return MountHeading(0.0 if mount is None else float(mount[2]), found, sigma, count)
+    return MountHeading(None if mount is None else float(mount[2]), found, sigma, count)
 
 
 def _equations(run: Run, turns: Turns) -> list[tuple[Floats, Floats]]:

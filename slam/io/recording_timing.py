@@ -31,6 +31,7 @@ class RecordingTiming:
     delay           delay of the lidar as found; None if it was not looked for, or is not determined
     used_delay      seconds that are compensated
     mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
+    mount_is_set    if the settings state the mount
     """
 
     beams_reversed: bool = False
@@ -38,6 +39,7 @@ class RecordingTiming:
     delay: Delay | None = None
     used_delay: float = 0.0
     mount_heading: MountHeading | None = None
+    mount_is_set: bool = False
 
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
@@ -56,18 +58,28 @@ class RecordingTiming:
         if reader is None:
             return cls(used_delay=set_delay or 0.0)
         test = reader.beam_order_test if lidar is None or lidar.beam_order == "auto" else None
-        heading = _contradicting(reader.mount_heading, None if lidar is None else lidar.mount)
+        mount = None if lidar is None else lidar.mount
+        heading = _contradicting(reader.mount_heading, mount)
         if set_delay is not None:
-            return cls(reader.beams_reversed, test, None, set_delay, heading)
+            return cls(reader.beams_reversed, test, None, set_delay, heading, mount is not None)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beams_reversed, test, delay, used, heading)
+        return cls(reader.beams_reversed, test, delay, used, heading, mount is not None)
+
+    @property
+    def used_heading(self) -> float | None:
+        """Heading of the mount that is used, radians, as neither recording nor settings state any; else None."""
+        found = self.mount_heading
+        return None if found is None or found.stated is not None or self.mount_is_set else found.found
 
     def compensated(self, config: Config) -> Config:
-        """Return the settings with the delay that is compensated."""
-        if not self.used_delay or config.lidar.delay is not None:
-            return config
-        return config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": self.used_delay})})
+        """Return the settings with the delay that is compensated, and the heading of a mount that is not stated."""
+        update: dict[str, Any] = {}
+        if self.used_delay and config.lidar.delay is None:
+            update["delay"] = self.used_delay
+        if self.used_heading is not None and config.lidar.mount is None:
+            update["mount"] = (0.0, 0.0, self.used_heading)
+        return config.model_copy(update={"lidar": config.lidar.model_copy(update=update)}) if update else config
 
     def beside(self, first: RecordingTiming) -> RecordingTiming:
         """Return the timing of a second lidar: with the delay of the first one, unless its own is clearly another."""
@@ -103,17 +115,24 @@ class RecordingTiming:
             lines.append(f"beams in the opposite of the stated order{_evidence(self.order_test)}")
         if self.used_delay:
             lines.append(f"{_late(self.used_delay, self.delay)}; compensated")
+        if self.used_heading is not None:
+            lines.append(f"lidar turned by {self._turn()} on the robot, as no mount is stated; corrected")
         return lines
 
     def doubts(self) -> list[str]:
         """Return what is probably wrong with the lidar's mount, as lines of text."""
-        if self.mount_heading is None:
+        if self.mount_heading is None or self.used_heading is not None:
             return []
-        found, sigma = (math.degrees(value) for value in (self.mount_heading.found, self.mount_heading.sigma))
         return [
-            f"the lidar seems to be turned by {found:.0f} ± {sigma:.0f} degrees on the robot, which its mount does not "
-            f"state: set lidar.mount=[0,0,{self.mount_heading.found:.2f}], or estimate it by `wclm calibrate`"
+            f"the lidar seems to be turned by {self._turn()} on the robot, which its mount does not state: set "
+            f"lidar.mount=[0,0,{self.mount_heading.found:.2f}], or estimate it by `wclm calibrate`"
         ]
+
+    def _turn(self) -> str:
+        """Return the heading of the mount as found, as text."""
+        assert self.mount_heading is not None
+        found, sigma = (math.degrees(value) for value in (self.mount_heading.found, self.mount_heading.sigma))
+        return f"{found:.0f} ± {sigma:.0f} degrees"
 
 
 def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, RecordingTiming | None]:
@@ -133,7 +152,8 @@ def _contradicting(found: MountHeading | None, mount: Sequence[float] | None) ->
     """Return the heading of a lidar if it contradicts the mount in the settings, else that of the scans."""
     if found is None:
         return None
-    return found if found.contradicts(found.stated if mount is None else mount[2]) else None
+    supposed = found.stated if mount is None else mount[2]
+    return found if found.contradicts(supposed or 0.0) else None
 
 
 def _evidence(test: BeamOrderTest | None) -> str:

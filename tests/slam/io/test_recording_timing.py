@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -52,18 +53,36 @@ def test_both_errors_are_found_and_corrected(wrong_recording: Path) -> None:
     assert run_input.facts()["interpretations"] == [order, delay]
 
 
-def test_a_lidar_that_points_backwards_is_doubtful(tmp_path: Path) -> None:
-    path = tmp_path / "drive.mcap"
+def input_with_turned_lidar(path: Path, stated: bool) -> RecordingInput:
+    """Return a recording with a lidar that points backwards; its mount is not stated, or wrongly as ahead."""
     with McapWriter(path) as writer:
         for message in with_turned_lidar(office_drive(), np.pi):
-            writer.write(message)
-    run_input = RecordingInput(drivers.open(path), reopen=str(path))
+            writer.write(replace(message, mount=np.zeros(3)) if stated and isinstance(message, Scan) else message)
+    return RecordingInput(drivers.open(path), reopen=str(path))
+
+
+def test_a_lidar_that_points_backwards_is_corrected_if_no_mount_is_stated(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    run_input = input_with_turned_lidar(path, stated=False)
     config = run_input.resolve(Config())
-    assert config.lidar.mount is None
+    assert config.lidar.mount is not None
+    assert config.lidar.mount[:2] == (0.0, 0.0)
+    assert abs(config.lidar.mount[2]) == pytest.approx(np.pi, abs=0.05)
+    text = run_input.facts()["interpretations"][-1]
+    assert re.match(r"lidar turned by -?1(79|80) ± \d degrees on the robot", text)
+    assert run_input.facts()["doubts"] == []
+    for heading, doubts in ((3.1, 0), (0.0, 1)):
+        settings = load_config(None, [f"lidar.mount=[0,0,{heading}]"])
+        timing = RecordingTiming.of(drivers.open(path), settings.lidar)
+        assert len(timing.doubts()) == doubts
+        assert timing.compensated(settings) == settings
+
+
+def test_a_lidar_that_contradicts_its_stated_mount_is_doubtful(tmp_path: Path) -> None:
+    run_input = input_with_turned_lidar(tmp_path / "drive.mcap", stated=True)
+    assert run_input.resolve(Config()).lidar.mount is None
     (doubt,) = run_input.facts()["doubts"]
     assert re.match(r"the lidar seems to be turned by -?1(79|80) ± \d degrees on the robot", doubt)
-    set_mount = load_config(None, ["lidar.mount=[0,0,3.1]"])
-    assert RecordingTiming.of(drivers.open(path), set_mount.lidar).doubts() == []
 
 
 def test_settings_take_precedence(wrong_recording: Path) -> None:
