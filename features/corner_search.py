@@ -8,7 +8,7 @@ from .compiled import compiled
 from .corner import intersect, parallel
 from .curves import curve_evidence
 from .feature_buffers import FeatureBuffers
-from .rays import MAX_BEARING_GAP, TURN, Rays, wrap_index
+from .rays import TURN, Rays, widest_gap, wrap_index
 from .settings import Settings
 
 # Beam steps by which a corner may lie outside the rays next to it.
@@ -63,7 +63,7 @@ def find_corner(
     margin = CORNER_STEPS * step + CORNER_SIGMAS * (settings.sigma_bearing + math.sqrt(across + first[11]))
     gap = (rays.bearing[following] - rays.bearing[last]) % TURN
     bearing = (math.atan2(y, x) - rays.bearing[last] + math.pi) % TURN - math.pi
-    if gap > MAX_BEARING_GAP + step or not -margin <= bearing <= gap + margin:
+    if gap > widest_gap(step) + step or not -margin <= bearing <= gap + margin:
         return False
     if cxx + cyy > MAX_CORNER_SIGMA**2:
         return False

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from .compiled import compiled
 from .normal_equations import sums_over
-from .rays import MAX_BEARING_GAP, MISSING_STEPS, TURN, Rays, distance_squared, wrap_index
+from .rays import MISSING_STEPS, TURN, Rays, distance_squared, widest_gap, wrap_index
 from .segments import Segments, add_rays, copy_segment, join_segments, joint_line, line, segment_chi2
 from .settings import Settings
 from .types import Integers
@@ -45,7 +45,7 @@ def is_bridgeable(
     gap = rays.bearing[following] - rays.bearing[last]
     if gap < 0.0:
         gap += TURN
-    if gap > MAX_BEARING_GAP:
+    if gap > widest_gap(step):
         return False
     if distance_squared(rays, last, following) <= settings.maximum_gap**2:
         return True

@@ -20,6 +20,9 @@ TURN = 2.0 * math.pi
 # Radians. A larger gap between neighbouring usable rays is a break: nothing is known about what lies between them.
 # Origin: chosen; not measured.
 MAX_BEARING_GAP = 0.1
+# Steps of the bearing grid that are no such gap if the lidar has only some dozens of beams: those between neighbours.
+# Origin: definition.
+NEIGHBOUR_STEPS = 1.5
 # Range per metre of arc on a wall seen at 5 degrees from grazing; a steeper step of range is a break.
 # Origin: geometry, 85 degrees of incidence.
 GRAZING_SLOPE = math.tan(math.radians(85.0))
@@ -106,6 +109,12 @@ def update_grid(angles: Floats, grid: Grid) -> None:
 
 
 @compiled
+def widest_gap(step: float) -> float:
+    """Return the widest gap of bearing between two rays of one surface, radians; `step` is that of the bearing grid."""
+    return max(MAX_BEARING_GAP, NEIGHBOUR_STEPS * step)
+
+
+@compiled
 def select_rays(ranges: Floats, range_min: float, range_max: float, grid: Grid, buffer: Rays) -> tuple[Rays, int]:
     """Select the usable rays into `buffer`; return them from the start on, and their number.
 
@@ -131,7 +140,8 @@ def select_rays(ranges: Floats, range_min: float, range_max: float, grid: Grid, 
         count += 1
     if count == 0:
         return buffer, 0
-    closed = buffer.bearing[0] + TURN - last < MAX_BEARING_GAP
+    mean_step = (last - buffer.bearing[0]) / max(count - 1, 1)
+    closed = buffer.bearing[0] + TURN - last < widest_gap(mean_step)
     return rotate_rays(farthest if closed else 0, count, buffer), count
 
 
@@ -197,7 +207,7 @@ def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None
         near, far = min(rays.range[k], rays.range[before]), max(rays.range[k], rays.range[before])
         noise = settings.sigma_range + 2.0 * settings.sigma_bearing * near
         allowed = near * gap * GRAZING_SLOPE + RANGE_STEP_SIGMAS * noise
-        broken = gap > MAX_BEARING_GAP or far - near > allowed
+        broken = gap > widest_gap(step) or far - near > allowed
         if gap > MISSING_STEPS * step and distance_squared(rays, before, k) > settings.maximum_gap**2:
             broken = True
         rays.broken[k] = 1 if broken else 0

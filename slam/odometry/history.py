@@ -106,10 +106,14 @@ class OdometryHistory:
         """(n, 3) in the odometry's frame."""
         return np.array(self._poses).reshape(-1, 3)
 
-    @property
-    def stamp_error(self) -> float:
-        """Standard deviation of the stamps of the latest readings, seconds; see `error_of_stamps`."""
-        end = len(self) - len(self) % ESTIMATED_EVERY
+    def stamp_error(self, stamp: float) -> float:
+        """Return the standard deviation of the stamps of the readings up to a stamp, seconds; see `error_of_stamps`.
+
+        It does not depend on what was received later. It is estimated from ESTIMATED_FROM readings at most, and again
+        after ESTIMATED_EVERY.
+        """
+        count = bisect.bisect_left(self._stamps, stamp)
+        end = count - count % ESTIMATED_EVERY
         if end != self._estimated_at:
             begin = max(0, end - ESTIMATED_FROM)
             poses = np.array(self._poses[3 * begin : 3 * end]).reshape(-1, 3)

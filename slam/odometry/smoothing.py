@@ -52,10 +52,11 @@ def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> Floats:
     moves = se2.between(origin, readings)
     moves[:, 2] = np.unwrap(moves[:, 2])
     steps, duration = se2.between(readings[:-1], readings[1:]), times[-1] - times[0]
-    error = odometry.stamp_error * wheel_travel(steps).sum() / duration
+    stamp_error = odometry.stamp_error(float(stamps[0]))
+    error = stamp_error * wheel_travel(steps).sum() / duration
     ratio = (error**2 + JITTER[0] ** 2) / ACCELERATION_DENSITY
     smoothed = se2.compose(origin, _smoothed(times - stamps[0], moves, ratio, stamps - stamps[0]))
-    limit = JITTER + MAX_DEVIATION * odometry.stamp_error * np.abs(steps).sum(axis=0) / duration
+    limit = JITTER + MAX_DEVIATION * stamp_error * np.abs(steps).sum(axis=0) / duration
     return se2.compose(interpolated, np.clip(se2.between(interpolated, smoothed), -limit, limit))
 
 

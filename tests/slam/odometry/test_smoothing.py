@@ -34,14 +34,20 @@ def history_of(sigma: float, period: float = 0.02, seed: int = 0) -> OdometryHis
 @pytest.mark.parametrize("sigma", [0.0, 0.001, 0.003])
 def test_the_error_of_stamps_shows_where_the_robot_drives_evenly(sigma: float) -> None:
     history = history_of(sigma)
-    assert history.stamp_error == pytest.approx(sigma, rel=0.2, abs=1e-4)
+    assert history.stamp_error(20.0) == pytest.approx(sigma, rel=0.2, abs=1e-4)
 
 
 def test_no_error_of_stamps_is_known_of_a_standing_robot_or_from_few_readings() -> None:
     stamps = np.arange(0.0, 5.0, 0.02)
     assert error_of_stamps(stamps, np.zeros((len(stamps), 3))) == 0.0
     assert error_of_stamps(stamps[:10], poses_at(stamps[:10])) == 0.0
-    assert OdometryHistory().stamp_error == 0.0
+    assert OdometryHistory().stamp_error(0.0) == 0.0
+
+
+def test_the_error_of_stamps_does_not_depend_on_later_readings() -> None:
+    history = history_of(0.003)
+    until_now = OdometryHistory.from_arrays(history.stamps[:700], history.poses[:700])
+    assert until_now.stamp_error(12.0) == history.stamp_error(12.0) != history.stamp_error(18.0)
 
 
 def test_slips_do_not_look_like_errors_of_stamps() -> None:
@@ -74,7 +80,7 @@ def test_the_smoothed_motion_is_that_of_a_gaussian_process() -> None:
     times, readings = history.between(sweep[0] - REACH, sweep[-1])
     origin = readings[np.searchsorted(times, sweep[0]) - 1]
     speed = (TWIST[0] + 0.25 * TWIST[2]) * (len(times) - 1) * 0.05 / (times[-1] - times[0])
-    ratio = ((speed * history.stamp_error) ** 2 + JITTER[0] ** 2) / ACCELERATION_DENSITY
+    ratio = ((speed * history.stamp_error(sweep[0])) ** 2 + JITTER[0] ** 2) / ACCELERATION_DENSITY
 
     def covariance(a: Any, b: Any) -> Any:
         x, y = np.meshgrid(a - times[0], b - times[0], indexing="ij")
