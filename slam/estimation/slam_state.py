@@ -21,6 +21,7 @@ from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import Tracker
 from ..localisation.tracking import PoseFix, TrackerState, TrackingResult
 from ..loop_closure.agreement import LoopAgreement
+from ..loop_closure.join_search import JoinSearch
 from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.convergence import converge
 from ..mapping.local_map import LOCAL_MAP_MARGIN, empty_local_map
@@ -30,7 +31,6 @@ from ..matching.bias_correction import correct_range_bias
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.predicted_motion import motion_model
 from ..preprocessing.preprocessor import ProcessedScan
-from ..recognition.join_search import JoinSearch
 from .plan_prior import PlanPrior
 
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..formatting import percent
-from ..geometry.segments import Floats, Segments
+from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.mapper import Mapper
 from .map_descriptor import MapDescriptor, describe_map, express_in_frame
 from .submap_alignment import Alignment, align_submap, sample_walls
@@ -125,12 +125,14 @@ class Relocalisation:
     covariance  (3, 3) of the pose, in the map's axes
     motion      [x, y, heading] of the submap's frame in the map
     rivals      the same for each alternative that comes too near the best pose
+    pairs       (n, 2) landmark ids of matched walls: in the map, in the submap
     """
 
     pose: se2.Pose
     covariance: Floats
     motion: se2.Pose
     rivals: Sequence[se2.Pose]
+    pairs: Integers
     verdict: PlaceVerdict
 
 
@@ -173,6 +175,7 @@ def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
     distinct = _are_distinct(best.alignment.pose, np.array([candidate.alignment.pose for candidate in candidates]))
     alternatives = [candidate for candidate, other in zip(candidates, distinct, strict=True) if other]
     covariance = np.asarray(np.linalg.inv(best.alignment.information))
+    matched = np.flatnonzero(best.alignment.matches >= 0)
     near = [other for other in alternatives if not all(passed for passed, _ in _check_alternatives(best, [other]))]
     to_submap = se2.inverse(submap.pose)
     return Relocalisation(
@@ -180,6 +183,7 @@ def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
         covariance=covariance,
         motion=se2.compose(best.alignment.pose, to_submap),
         rivals=[se2.compose(other.alignment.pose, to_submap) for other in near],
+        pairs=np.column_stack([index.descriptor.walls[best.alignment.matches[matched]], observed.walls[matched]]),
         verdict=_decide(best, alternatives, covariance),
     )
 

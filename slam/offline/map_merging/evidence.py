@@ -1,11 +1,10 @@
 r"""Evidence for a placement of a map in another one, in nats, from how well the cells of both maps fit.
 
 A cell fits with a share $q$ of its points, those in space that the other map has seen; cells in unseen space are no
-evidence. Let $c_u$ be the probability that the cell u fits at a place that only looks alike. If the placement is right,
-the cell is as it was with probability $h$, and then fits with probability $r$, nearly 1; else it fits as by chance:
-$r_u = h\,r + (1 - h)\,c_u$. The evidence is the logarithm of the likelihood ratio,
+evidence. Let $h$ be the probability that something is still there if the placement is right, and $c_u$ that the cell u
+fits at a place that only looks alike. The evidence is the logarithm of the likelihood ratio,
 
-    log mean_h prod_u r_u(h)^q_u (1 - r_u(h))^(1 - q_u)  -  max_{b <= 0} log prod_u c_u(b)^q_u (1 - c_u(b))^(1 - q_u),
+    log mean_h prod_u h^q_u (1 - h)^(1 - q_u)  -  max_{b <= 0} log prod_u c_u(b)^q_u (1 - c_u(b))^(1 - q_u),
 
 with $\operatorname{logit} c_u(b) = \operatorname{logit} c_u + b$: a place may look less alike than others, not more.
 $c_u$ is the share with which the cell fits at all other placements that were found, with Laplace's rule of succession.
@@ -22,20 +21,16 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ...geometry.segments import Floats
 from .placements import Placement
-from .scanned_map import ScannedDrive, ScannedMap
+from .scanned_map import ScannedMap
 
-# Points in seen space that a cell needs: half a metre of wall. Origin: definition.
 MIN_CELL_POINTS = 5
-# Probabilities that a cell is as it was, equally likely before: more than half of a building stays.
-# Origin: chosen; not measured.
-UNCHANGED_PROBABILITIES = np.linspace(0.5, 0.995, 100)
-# Probability that a cell fits that is as it was, and the largest one that a cell fits anywhere.
-# Origin: chosen, for points that are noise; not measured.
-MAX_FIT = 0.995
-# Values of b, from almost no cell that fits to a place that looks as much alike as the others. Origin: numerical.
+"""Points in seen space that a cell needs: half a metre of wall."""
+HIT_PROBABILITIES = np.linspace(0.5, 0.995, 100)
+"""Probabilities that a cell fits at the right placement, equally likely before: more than half of a building stays."""
 ALIKE_OFFSETS = np.linspace(-6.0, 0.0, 61)
+"""Values of b, from almost no cell that fits to a place that looks as much alike as the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,15 +46,15 @@ class CellFits:
         return float((self.fit[self.known].sum() + 1.0) / (self.known.sum() + 2.0))
 
 
-def compare_cells(new: ScannedDrive, old: ScannedMap, placement: Placement, submaps: Iterable[int]) -> CellFits:
-    """Compare some submaps of a drive with a map: cells of the drive in the map, then the reverse."""
+def compare_cells(new: ScannedMap, old: ScannedMap, placement: Placement, submaps: Iterable[int]) -> CellFits:
+    """Compare some submaps of a map with the other one: cells of the new map in the old one, then the reverse."""
     misfits, known = np.zeros(new.cells), np.zeros(new.cells)
     old_misfits, old_known = np.zeros(old.cells), np.zeros(old.cells)
     for row in submaps:
         submap, pose = new.submaps[row], placement.poses[row]
         submap.points.add_misfits(old.field, pose, misfits, known)
-        near = old.points.near(pose[:2], submap.scan.reach)
-        near.add_misfits(submap.scan.field, se2.inverse(pose), old_misfits, old_known)
+        near = old.points.near(pose[:2], submap.reach)
+        near.add_misfits(submap.field, se2.inverse(pose), old_misfits, old_known)
     misfits, known = np.concatenate([misfits, old_misfits]), np.concatenate([known, old_known])
     return CellFits(1.0 - misfits / np.maximum(known, 1.0), known >= MIN_CELL_POINTS)
 
@@ -71,17 +66,12 @@ def chance_of_fit(others: Sequence[CellFits]) -> Floats:
     return np.asarray(((known * fit).sum(axis=0) + 1.0) / (known.sum(axis=0) + 2.0))
 
 
-def evidence_of(fits: CellFits, chance: Floats) -> float:
+def evidence_of(fits: CellFits, chance: Floats, hit_probabilities: Floats = HIT_PROBABILITIES) -> float:
     """Return the evidence (nats) of the known cells, given the `chance` (n,) of each cell to fit; see the module."""
-    fit, chance = fits.fit[fits.known], chance[fits.known]
-    unchanged = UNCHANGED_PROBABILITIES[:, None]
-    right = _log_likelihoods(fit, _logit(unchanged * MAX_FIT + (1.0 - unchanged) * chance))
-    alike = _log_likelihoods(fit, _logit(chance) + ALIKE_OFFSETS[:, None])
+    fit, logit = fits.fit[fits.known], np.log(chance[fits.known] / (1.0 - chance[fits.known]))
+    right = _log_likelihoods(fit, np.log(hit_probabilities / (1.0 - hit_probabilities))[:, None])
+    alike = _log_likelihoods(fit, logit + ALIKE_OFFSETS[:, None])
     return float(np.log(np.mean(np.exp(right - right.max()))) + right.max() - alike.max())
-
-
-def _logit(probability: Floats) -> Floats:
-    return np.asarray(np.log(probability / (1.0 - probability)))
 
 
 def _log_likelihoods(fit: Floats, logits: Floats) -> Floats:

@@ -14,20 +14,21 @@ import numpy as np
 
 from drivers import se2
 
-from ..formatting import percent
-from ..geometry.segments import Floats, Integers
-from ..loop_closure.criteria import MAX_MATCH_SIGMA, MIN_KNOWN, MIN_LOOP_FIT
-from ..loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN, DISTORTION_SIGMAS, NO_PRIOR
-from ..matching.point_matcher import point_cost
-from .evidence import MAX_FIT, CellFits, chance_of_fit, compare_cells, evidence_of
+from ...formatting import percent
+from ...geometry.segments import Floats, Integers
+from ...loop_closure.criteria import MAX_MATCH_SIGMA, MIN_KNOWN, MIN_LOOP_FIT
+from ...loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN, DISTORTION_SIGMAS, NO_PRIOR
+from ...matching.point_matcher import point_cost
+from .evidence import HIT_PROBABILITIES, CellFits, chance_of_fit, compare_cells, evidence_of
 from .placements import Placement, find_placements, matched_walls
-from .scanned_map import ScannedDrive, ScannedMap
+from .scanned_map import ScannedMap
 
-# Largest probability of a wrong decision, given that the drive is in the map or not with equal probability before.
-# Origin: chosen.
 ERROR_PROBABILITY = 0.01
-# Rival placements that a refusal names. Origin: chosen, for a message of some lines.
+"""Largest probability of a wrong merge, given that the session is in the map or not with equal probability before."""
+MAX_CHANCE = float(HIT_PROBABILITIES[-1])
+"""Largest probability that a cell fits."""
 MAX_NAMED_RIVALS = 3
+"""Rival placements that a refusal names."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,8 +40,6 @@ class PlacedSubmap:
     covariance  (3, 3) of the pose from the points of the submap alone, in the pose's frame
     motion      [x, y, heading] of its own session's map in the other map, according to this submap
     walls       landmark ids (n, 2) of coinciding walls: in the other map, in its own
-    fit         share of its points in space that was seen that fit
-    known       share of its points in space that was seen
     """
 
     keyframes: range
@@ -48,19 +47,16 @@ class PlacedSubmap:
     covariance: Floats
     motion: se2.Pose
     walls: Integers
-    fit: float
-    known: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Location:
+class SessionLocation:
     """Decision on the placement of a session in another map.
 
     submaps   number of submaps
     members   submaps that fit at the best placement and at no rival, which the maps are joined by
     evidence  for the best placement, without what also fits at rivals, nats
     required  evidence that is required, nats
-    possible  true if the drive may be in the other map, at the best placement or at a rival
     reason    text of the numbers that the placement is accepted or rejected by
     """
 
@@ -68,7 +64,6 @@ class Location:
     members: Sequence[PlacedSubmap]
     evidence: float
     required: float
-    possible: bool
     reason: str
 
     @property
@@ -77,7 +72,7 @@ class Location:
         return bool(self.members) and self.evidence >= self.required
 
 
-def locate(new: ScannedDrive, old: ScannedMap) -> Location:
+def locate_session(new: ScannedMap, old: ScannedMap) -> SessionLocation:
     """Search for a session in the map of another one, and decide on its placement.
 
     The placement with most evidence is accepted if its evidence is at least log(n / p) with the number n of places
@@ -92,7 +87,7 @@ def locate(new: ScannedDrive, old: ScannedMap) -> Location:
     required, excluded = places - math.log(ERROR_PROBABILITY), places + math.log(ERROR_PROBABILITY)
     count = len(new.submaps)
     if not placements:
-        return Location(count, (), 0.0, required, False, f"none of its {count} submaps lies on walls of it")
+        return SessionLocation(count, (), 0.0, required, f"none of its {count} submaps lies on walls of it")
     comparison = _Comparison(new, old, placements)
     ambiguous: set[int] = set()
     rivals = []
@@ -105,8 +100,7 @@ def locate(new: ScannedDrive, old: ScannedMap) -> Location:
             rivals.append((evidence, rival))
     members = [comparison.place(row) for row in comparison.fitting(comparison.best) if row not in ambiguous]
     evidence = comparison.evidence(comparison.best, range(count), [rival for _, rival in rivals])
-    possible = bool(rivals) or comparison.best_evidence > excluded
-    decided = Location(count, members, evidence, required, possible, "")
+    decided = SessionLocation(count, members, evidence, required, "")
     return replace(decided, reason=comparison.reason(decided, rivals))
 
 
@@ -118,16 +112,11 @@ def number_of_places(area: float) -> float:
 class _Comparison:
     """Placements of a session with the fits and the evidence of each."""
 
-    def __init__(self, new: ScannedDrive, old: ScannedMap, placements: Sequence[Placement]) -> None:
+    def __init__(self, new: ScannedMap, old: ScannedMap, placements: Sequence[Placement]) -> None:
         self._new, self._old, self._placements = new, old, placements
         self.fits = [compare_cells(new, old, placement, range(len(new.submaps))) for placement in placements]
         self._evidence = [evidence_of(fits, self._chance(row)) for row, fits in enumerate(self.fits)]
         self.best = int(np.argmax(self._evidence))
-
-    @property
-    def best_evidence(self) -> float:
-        """Evidence for the best placement, with what also fits at others."""
-        return self._evidence[self.best]
 
     def _chance(self, row: int) -> Floats:
         """Return the chance (n,) of each cell to fit, from all placements but one."""
@@ -146,7 +135,7 @@ class _Comparison:
         compared, chance = compare_cells(self._new, self._old, self._placements[row], submaps), self._chance(row)
         for fits in (self.fits[rival] for rival in rivals):
             chance = np.maximum(chance, np.where(fits.known, np.minimum(fits.fit, compared.fit), 0.0))
-        return evidence_of(compared, np.minimum(chance, MAX_FIT))
+        return evidence_of(compared, np.minimum(chance, MAX_CHANCE))
 
     def fitting(self, row: int) -> list[int]:
         """Return the submaps whose place was seen, that fit there, and whose position is determined."""
@@ -166,18 +155,16 @@ class _Comparison:
         pose, covariance = placement.poses[submap], _covariance(placement.informations[submap])
         motion = se2.compose(pose, se2.inverse(own.pose))
         walls = matched_walls(self._new, self._old, submap, pose)
-        points = own.points.points
-        _, fit, known = point_cost(self._old.field, points, pose)
-        return PlacedSubmap(own.scan.keyframes, pose, covariance, motion, walls, fit, known / max(1, len(points)))
+        return PlacedSubmap(own.keyframes, pose, covariance, motion, walls)
 
-    def reason(self, location: Location, rivals: Sequence[tuple[float, int]]) -> str:
+    def reason(self, location: SessionLocation, rivals: Sequence[tuple[float, int]]) -> str:
         """Return the text of the numbers that the best placement is accepted or rejected by."""
         numbers = f"evidence {location.evidence:.1f} of {location.required:.1f} that are required"
         count, agreeing = len(self._new.submaps), len(location.members)
         if location.accepted:
             return f"{agreeing} of its {count} submaps fit in one place only; {numbers}"
-        if rivals and self.best_evidence >= location.required:
-            strongest = [(self.best_evidence, self.best), *sorted(rivals, reverse=True)][: 1 + MAX_NAMED_RIVALS]
+        if rivals and self._evidence[self.best] >= location.required:
+            strongest = [(self._evidence[self.best], self.best), *sorted(rivals, reverse=True)][: 1 + MAX_NAMED_RIVALS]
             places = "; ".join(f"{self._motion(row)} (evidence {evidence:.1f})" for evidence, row in strongest)
             unnamed = 1 + len(rivals) - len(strongest)
             more = f" and {unnamed} more" if unnamed else ""
