@@ -30,8 +30,8 @@ JITTER = np.array([2e-4, 2e-4, 8e-4])
 # Standard deviations of a reading by which the smoothed motion may differ from it.
 # Origin: chosen, 99.7 % of a normal distribution.
 MAX_DEVIATION = 3.0
-# Seconds before and after the sweep from which readings are used. Origin: numerical, with errors of 50 ms at 50 Hz,
-# readings that are 80 ms away have 1/e of the weight.
+# Seconds before the sweep from which readings are used, with those up to the first one after it: a live run knows no
+# others. Origin: numerical, with errors of 50 ms at 50 Hz, readings that are 80 ms away have 1/e of the weight.
 REACH = 0.5
 # Readings at least: fewer do not tell errors from motion. Origin: definition, two more than a line has parameters.
 MIN_READINGS = 4
@@ -40,7 +40,7 @@ UNKNOWN = 1e6
 
 
 def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> Floats:
-    """Return the poses (n, 3) of odometry at increasing stamps (n,), seconds, smoothed over the readings around.
+    """Return the poses (n, 3) of odometry at increasing stamps (n,), seconds, smoothed over readings up to the last.
 
     If there are too few readings, or the stamps are not between them, they are interpolated as by `OdometryHistory`.
     """
