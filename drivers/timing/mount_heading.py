@@ -80,6 +80,18 @@ def estimate_mount_heading(turns: Turns) -> MountHeading | None:
     return MountHeading(None if mount is None else float(mount[2]), found, sigma, count)
 
 
+def mount_equations(driven: Floats, observed: Floats) -> Floats:
+    """Return the rows (2 n, 4) of the equations of the module for n motions, by m, cos h and sin h.
+
+    driven    (n, 3) motions of the base; their n distances ahead and then their n distances to the left are the right
+              sides
+    observed  (n, 3) the same motions of the lidar
+    """
+    c, s = np.cos(driven[:, 2]) - 1.0, np.sin(driven[:, 2])
+    x, y = observed[:, 0], observed[:, 1]
+    return np.vstack([np.column_stack([-c, s, x, -y]), np.column_stack([-s, -c, y, x])])
+
+
 def _equations(run: Run, turns: Turns) -> list[tuple[Floats, Floats]]:
     """Return the rows (2, 4) and right sides (2,) of the pairs of a run, for m, cos h and sin h."""
     stamps, equations = turns.odometry[:, 0], []
@@ -89,10 +101,8 @@ def _equations(run: Run, turns: Turns) -> list[tuple[Floats, Floats]]:
         around = stamps[max(0, low - 1) : high + 1]
         inside = len(around) > 1 and around[0] <= run.stamps[first] and around[-1] >= run.stamps[second]
         if inside and float(np.diff(around).max()) < MAX_PERIOD:
-            x, y, _ = se2.between(run.poses[first], run.poses[second])
             base = turns.path_at(run.stamps[[first, second]])
-            forward, left, turn = se2.between(base[0], base[1])
-            c, s = np.cos(turn) - 1.0, np.sin(turn)
-            equations.append((np.array([[-c, s, x, -y], [-s, -c, y, x]]), np.array([forward, left])))
+            driven, observed = se2.between(base[0], base[1]), se2.between(run.poses[first], run.poses[second])
+            equations.append((mount_equations(driven[None], observed[None]), driven[:2]))
         first = second
     return equations

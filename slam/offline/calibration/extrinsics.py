@@ -25,6 +25,7 @@ from scipy.optimize import least_squares
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
+from drivers.timing.mount_heading import mount_equations
 
 from ...config import Config
 from ...errors import MapError
@@ -156,15 +157,8 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
 
 
 def _closed_form_mount(driven: Floats, observed: Floats) -> se2.Pose:
-    """Return the mount that relates motions of the base (n, 3) and of the lidar (n, 3) best, whatever its heading.
-
-    With the mount's position m and heading h, and the turn a of the base, R(h) t_lidar = t_base + (R(a) - I) m. It is
-    linear in m, cos h and sin h.
-    """
-    c, s = np.cos(driven[:, 2]) - 1.0, np.sin(driven[:, 2])
-    x, y = observed[:, 0], observed[:, 1]
-    rows = np.vstack([np.column_stack([-c, s, x, -y]), np.column_stack([-s, -c, y, x])])
-    (*position, cosine, sine), *_ = np.linalg.lstsq(rows, driven[:, :2].T.ravel())
+    """Return the mount that relates motions of the base (n, 3) and of the lidar (n, 3) best, whatever its heading."""
+    (*position, cosine, sine), *_ = np.linalg.lstsq(mount_equations(driven, observed), driven[:, :2].T.ravel())
     return np.array([*position, np.arctan2(sine, cosine)])
 
 
