@@ -31,7 +31,7 @@ class RecordingTiming:
     delay           delay of the lidar as found; None if it was not looked for, or is not determined
     used_delay      seconds that are compensated
     mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
-    mount_is_set    if the settings state the mount
+    used_heading    heading of the mount that is used, radians, if neither recording nor settings state any; else None
     """
 
     beams_reversed: bool = False
@@ -39,7 +39,7 @@ class RecordingTiming:
     delay: Delay | None = None
     used_delay: float = 0.0
     mount_heading: MountHeading | None = None
-    mount_is_set: bool = False
+    used_heading: float | None = None
 
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
@@ -60,17 +60,14 @@ class RecordingTiming:
         test = reader.beam_order_test if lidar is None or lidar.beam_order == "auto" else None
         mount = None if lidar is None else lidar.mount
         heading = _contradicting(reader.mount_heading, mount)
+        used_heading = None
+        if heading is not None and heading.stated is None and mount is None:
+            used_heading = heading.found
         if set_delay is not None:
-            return cls(reader.beams_reversed, test, None, set_delay, heading, mount is not None)
+            return cls(reader.beams_reversed, test, None, set_delay, heading, used_heading)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beams_reversed, test, delay, used, heading, mount is not None)
-
-    @property
-    def used_heading(self) -> float | None:
-        """Heading of the mount that is used, radians, as neither recording nor settings state any; else None."""
-        found = self.mount_heading
-        return None if found is None or found.stated is not None or self.mount_is_set else found.found
+        return cls(reader.beams_reversed, test, delay, used, heading, used_heading)
 
     def compensated(self, config: Config) -> Config:
         """Return the settings with the delay that is compensated, and the heading of a mount that is not stated."""
