@@ -199,6 +199,7 @@ def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None
     A break is a gap of bearing, a step of range that no wall up to 85 degrees of incidence explains, or missing beams
     across more than the widest gap in a wall. `step` is that of `bearing_step`.
     """
+    widest = widest_gap(step)
     for k in range(count):
         before = k - 1 if k > 0 else count - 1
         gap = rays.bearing[k] - rays.bearing[before]
@@ -207,7 +208,7 @@ def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None
         near, far = min(rays.range[k], rays.range[before]), max(rays.range[k], rays.range[before])
         noise = settings.sigma_range + 2.0 * settings.sigma_bearing * near
         allowed = near * gap * GRAZING_SLOPE + RANGE_STEP_SIGMAS * noise
-        broken = gap > widest_gap(step) or far - near > allowed
+        broken = gap > widest or far - near > allowed
         if gap > MISSING_STEPS * step and distance_squared(rays, before, k) > settings.maximum_gap**2:
             broken = True
         rays.broken[k] = 1 if broken else 0

@@ -52,14 +52,14 @@ def _first(data: bytes, start: int) -> tuple[NDArray[np.float32], int]:
     (beams,) = struct.unpack_from("<I", data, start)
     at = start + 4
     words = np.frombuffer(data, "<u4", (len(data) - at) // 4, at)
-    counts = words.tolist()
-    first = np.empty(min(beams, len(counts)), dtype=np.int64)
+    listed = words.tolist()  # of each beam the number of its echoes, and these
+    first = np.empty(min(beams, len(listed)), dtype=np.int64)
     word = 0
     for beam in range(beams):
-        echoes = counts[word]
+        echoes = listed[word]
         first[beam] = word + 1 if echoes else -1
         word += 1 + echoes
-    if word > len(counts):
+    if word > len(listed):
         raise IndexError("fewer echoes than stated")
     ranges = words.view("<f4")[first] if beams else np.empty(0, dtype=np.float32)
     ranges[first < 0] = np.nan

@@ -121,7 +121,7 @@ class OdometryHistory:
             self._estimated_at = end
         return self._stamp_error
 
-    def between(self, begin: float, end: float) -> tuple[Floats, Floats]:
+    def readings_between(self, begin: float, end: float) -> tuple[Floats, Floats]:
         """Return stamps (n,) and poses (n, 3) of the readings from `begin` (seconds) to the first one from `end` on."""
         first, last = bisect.bisect_left(self._stamps, begin), bisect.bisect_left(self._stamps, end) + 1
         return np.array(self._stamps[first:last]), np.array(self._poses[3 * first : 3 * last]).reshape(-1, 3)

@@ -45,7 +45,7 @@ def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> Floats:
     If there are too few readings, or the stamps are not between them, they are interpolated as by `OdometryHistory`.
     """
     interpolated = odometry.at_each(stamps)
-    times, readings = odometry.between(float(stamps[0]) - REACH, float(stamps[-1]))
+    times, readings = odometry.readings_between(float(stamps[0]) - REACH, float(stamps[-1]))
     if len(times) < MIN_READINGS or not times[0] <= stamps[0] <= stamps[-1] <= times[-1]:
         return interpolated
     origin = readings[np.searchsorted(times, stamps[0]) - 1]

@@ -140,6 +140,15 @@ def test_features_do_not_depend_on_the_start_of_the_revolution(start: int) -> No
     assert ((moved.lines.last[order] + start) % 720 == plain.lines.last).all()
 
 
+def test_a_lidar_with_fifty_beams_shows_walls_unless_every_second_beam_is_lost() -> None:
+    angles = np.linspace(-np.pi, np.pi, 50, endpoint=False)
+    ranges = square_room(angles)
+    found = extract(ranges, angles).lines
+    distances = np.sort(1.0 / np.hypot(*found.uv.T))
+    np.testing.assert_allclose(distances, [1.7, 2.3, 2.5, 3.5], atol=0.05)
+    assert len(extract(np.where(np.arange(50) % 2, np.nan, ranges), angles).lines) == 0
+
+
 def test_beams_beyond_one_revolution_are_ignored() -> None:
     angles = -np.pi + 2 * np.pi / 720 * np.arange(760)
     ranges = square_room(angles, noise=0.0)

@@ -77,7 +77,7 @@ def test_inexact_stamps_bend_a_sweep_several_times_less(sigma: float) -> None:
 
 def test_the_smoothed_motion_is_that_of_a_gaussian_process() -> None:
     history, sweep = history_of(0.01, period=0.05, seed=5), 8.0 + np.linspace(0.0, 0.2, 9)
-    times, readings = history.between(sweep[0] - REACH, sweep[-1])
+    times, readings = history.readings_between(sweep[0] - REACH, sweep[-1])
     origin = readings[np.searchsorted(times, sweep[0]) - 1]
     speed = (TWIST[0] + 0.25 * TWIST[2]) * (len(times) - 1) * 0.05 / (times[-1] - times[0])
     ratio = ((speed * history.stamp_error(sweep[0])) ** 2 + JITTER[0] ** 2) / ACCELERATION_DENSITY
