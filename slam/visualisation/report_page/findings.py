@@ -91,7 +91,7 @@ def reason_without_walls(summary: dict[str, Any]) -> str:
         return f"no wall was found: in {few} of {scans} scans nothing was straight and near; are ranges in metres?"
     seen = "`wclm features` shows the lines of a scan"
     if summary.get("keyframes") == 1:
-        return f"no wall was found: the lidar stayed in one place, and a wall must be seen from two; {seen}"
+        return f"no wall was found: the lidar stayed in one place, too briefly to look twice; {seen}"
     return f"no wall was found: no straight line was seen from two places; {seen}"
 
 
