@@ -73,7 +73,7 @@ class PosePredictor:
             self._fix, self._reference, self._since_fix, self._clock.last, self._clock.intervals,
             self._velocity.velocity, self._velocity.variances,
             self._prediction_error.variances, self._prediction_error.scans,
-            self._slips.scans, self._slips.slips, last_score,
+            replace(self._slips), last_score,
         )  # fmt: skip
 
     def restore(self, state: TrackerState) -> None:
@@ -82,7 +82,7 @@ class PosePredictor:
         self._since_fix, self._clock = state.since_fix, ScanClock(state.scan_stamp, state.intervals)
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
         self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
-        self._slips = SlipStatistics(state.scans, state.slips)
+        self._slips = replace(state.slips)
 
     def extrapolate(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
@@ -150,8 +150,8 @@ class PosePredictor:
             slip = replace(slip, information=information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
             sigmas = self._velocity.deviations(self._since_fix or 0.0) + PREDICTION_SIGMAS
             return replace(self._by_odometry(self._reference, odometry, None), search_sigmas=sigmas[1:]), slip
-        inertia = slip if self._since_fix is not None else None
-        return self._by_odometry(self._reference, odometry, inertia), slip
+        usual = self._by_odometry(self._reference, odometry, slip if self._since_fix is not None else None)
+        return replace(usual, cost=self._slips.cost_of_none), slip
 
     def _by_odometry(self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None) -> Prediction:
         """Return the prediction if the robot has moved from the reference as odometry says."""

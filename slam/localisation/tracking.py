@@ -15,6 +15,7 @@ from ..matching.line_matcher import Registration
 from ..matching.point_matcher import Prediction, pose_error
 from ..odometry.velocity import VelocityFilter
 from .prediction_error import PredictionError
+from .slip_statistics import SlipStatistics
 
 # Information of a pose that makes that of any scan invertible. Origin: numerical, far below that of a single point.
 CONDITIONING = 1e-6 * np.eye(3)
@@ -104,8 +105,7 @@ class TrackerState:
     velocity_variances  (3,)
     prediction_variances  (3,) see `PredictionError`
     prediction_scans  number of scans that they rest on
-    scans       number of tracked scans, see `SlipStatistics`
-    slips       number of those before which odometry failed
+    slips       numbers of tracked scans and of slips
     last_score  match score of the last tracked scan
     """
 
@@ -118,8 +118,7 @@ class TrackerState:
     velocity_variances: Floats
     prediction_variances: Floats
     prediction_scans: int
-    scans: int
-    slips: int
+    slips: SlipStatistics
     last_score: float
 
     @classmethod
@@ -127,5 +126,6 @@ class TrackerState:
         """Return the state of a robot of which nothing but the pose is known."""
         velocity, error = VelocityFilter(), PredictionError()
         return cls(
-            fix, fix, None, None, (), velocity.velocity, velocity.variances, error.variances, error.scans, 0, 0, 0.0
+            fix, fix, None, None, (), velocity.velocity, velocity.variances, error.variances, error.scans,
+            SlipStatistics(), 0.0,
         )  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import reprlib
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,6 +16,7 @@ from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...graph.factors import GraphState
+from ...localisation.slip_statistics import SlipStatistics
 from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.map_parts import MapParts
@@ -77,6 +79,9 @@ class _Tracker(Record):
     prediction_scans: int = Field(ge=0)
     scans: int = Field(ge=0)
     slips: int = Field(ge=0)
+    after_slips: int = Field(default=0, ge=0)
+    repeated_slips: int = Field(default=0, ge=0)
+    failing: bool = False
     last_score: Finite
 
 
@@ -217,8 +222,7 @@ def _tracker_record(state: TrackerState) -> _Tracker:
         velocity_variances=to_pose(state.velocity_variances),
         prediction_variances=to_pose(state.prediction_variances),
         prediction_scans=state.prediction_scans,
-        scans=state.scans,
-        slips=state.slips,
+        **asdict(state.slips),
         last_score=state.last_score,
     )
 
@@ -230,7 +234,8 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     return TrackerState(
         fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),
         np.array(record.velocity_variances), np.array(record.prediction_variances), record.prediction_scans,
-        record.scans, record.slips, record.last_score,
+        SlipStatistics(record.scans, record.slips, record.after_slips, record.repeated_slips, record.failing),
+        record.last_score,
     )  # fmt: skip
 
 

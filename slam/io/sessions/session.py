@@ -172,6 +172,10 @@ def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, lan
     tracker, field = header.checkpoint.tracker, header.checkpoint.field
     if tracker is not None and tracker.slips > tracker.scans:
         raise MapError(f"{file}: checkpoint.tracker: more slips than scans")
+    if tracker is not None and not tracker.repeated_slips <= tracker.after_slips <= tracker.slips:
+        raise MapError(
+            f"{file}: checkpoint.tracker: the numbers of scans after slips and of slips contradict each other"
+        )
     if any(not 0 <= keyframe < count for keyframe in field.keyframes):
         raise MapError(f"{file}: checkpoint.field: there are {count} keyframes")
     if field.successor is not None and len(field.successor.poses) > len(field.successor.keyframes):

@@ -239,6 +239,8 @@ def test_session_of_another_version_is_refused(
     [
         (["checkpoint", "kidnapped_keyframes"], [10**6], "checkpoint.kidnapped_keyframes: there are"),
         (["checkpoint", "tracker", "slips"], 10**6, "checkpoint.tracker: more slips than scans"),
+        (["checkpoint", "tracker", "after_slips"], 10**6, "checkpoint.tracker: the numbers of scans"),
+        (["checkpoint", "tracker", "repeated_slips"], 10**6, "checkpoint.tracker: the numbers of scans"),
         (["checkpoint", "tracker", "last_score"], None, "checkpoint.tracker.last_score: Input should be a"),
         (["segment_starts"], [-1], "segment_starts: there are"),
         (["agreement", "estimate", "support"], [MATCH | {"old": 10**6}], "agreement: there are"),

@@ -47,20 +47,22 @@ def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     predictor.update(tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1])), STEP, None)
     usual = predictor.predict(0.2, 2 * STEP)[0]
     np.testing.assert_allclose(usual.pose, 2 * STEP, atol=1e-9)
-    assert usual.cost == 0.0
+    assert usual.cost == pytest.approx(-np.log(20.0 / 21.0))  # no more than that of odometry without a slip
 
 
 def test_the_cost_of_a_slip_follows_from_the_scans_that_slipped_and_is_saved() -> None:
     predictor = PosePredictor(OdometryModel(OdometryConfig()))
-    costs = []
+    costs: list[tuple[float, float]] = []
     for slipped in (False, True):
         for k in range(20):
             predictor.predict(0.1 * k, np.zeros(3))
             predictor.update(tracking_result(slipped=slipped), np.zeros(3), None)
-        _, slip, *_ = predictor.predict(2.0, np.zeros(3))
-        costs.append(slip.cost)
-    assert costs == pytest.approx([np.log(40.0), np.log(60.0 / 21.0)])
+        usual, slip, *_ = predictor.predict(2.0, np.zeros(3))
+        costs.append((usual.cost, slip.cost))
+    # The first of 20 slips followed 20 scans without one, and the others each followed a slip.
+    np.testing.assert_allclose(costs, -np.log([[39 / 40, 1 / 40], [1 / 21, 20 / 21]]))
     restored, state = PosePredictor(OdometryModel(OdometryConfig())), predictor.state(0.0)
     assert state is not None
     restored.restore(state)
-    assert restored.predict(2.1, np.zeros(3))[1].cost == costs[-1]
+    restored_usual, restored_slip, *_ = restored.predict(2.1, np.zeros(3))
+    assert (restored_usual.cost, restored_slip.cost) == costs[-1]
