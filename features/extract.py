@@ -9,7 +9,7 @@ import numpy as np
 
 from . import line_tracking, rays, segmentation, segments
 from .estimators import ESTIMATORS
-from .feature_buffers import FeatureBuffers
+from .feature_buffers import FeatureBuffers, NoiseEstimate
 from .kernel import extract_features
 from .settings import Settings
 from .types import Corners, Features, Floats, Lines, Noise
@@ -22,6 +22,9 @@ ROUGHNESS = 0.01
 MIN_SIGMA_RANGE = 0.002
 # Metres. Maximum of the adapted range noise. Origin: chosen; not measured.
 MAX_SIGMA_RANGE = 0.10
+# Radians. Limits of the adapted bearing noise. Origin: encoders of robots' lidars resolve about 0.01 degrees; the
+# maximum is chosen: beams of sparse lidars are a degree wide.
+MIN_SIGMA_BEARING, MAX_SIGMA_BEARING = math.radians(0.005), math.radians(1.0)
 # Scans. Weight of the given range noise relative to observed scans. Origin: chosen; not measured.
 PRIOR_SCANS = 2.0
 # Extractions from one scan after which the estimate of its noise is used as it is. Origin: numerical, from a third of
@@ -79,7 +82,8 @@ class Extractor:
             raise ValueError(f"noise must be positive, not {noise}")
         self._noise = noise
         self._adapt = adapt_noise
-        self._scan_weight = prior_scans
+        self._range_weight = prior_scans
+        self._bearing_weight = PRIOR_LINES
         settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),
@@ -110,18 +114,12 @@ class Extractor:
 
         n may change from scan to scan. Raises ValueError if the lengths differ.
         """
-        count = len(ranges)
-        if len(angles) != count:
-            raise ValueError(f"{count} ranges but {len(angles)} angles")
-        if count != len(self._ranges):
-            self._allocate(count)
-        # copied, because a read-only array or another data type would trigger a new compilation
-        self._ranges[:] = ranges
-        self._angles[:] = angles
+        self._load(ranges, angles)
         used = self._noise
-        lines, corners, variance = self.run_kernel()
-        if self._adapt and not math.isnan(variance):
-            self._adapt_noise(variance)
+        lines, corners, estimate = self.run_kernel()
+        if self._adapt:
+            self._adapt_range(estimate)
+            self._adapt_bearing(estimate)
         return Features(self._lines(lines), self._corners(corners), used)
 
     def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
@@ -134,22 +132,34 @@ class Extractor:
         """
         if not self._adapt:
             return True
-        given, weight, share = self._noise, self._scan_weight, 0.0
+        self._load(ranges, angles)
+        given, weight, share = self._noise, self._range_weight, 0.0
         for _ in range(MAX_SETTLING_EXTRACTIONS):
-            before, self._scan_weight = self._noise, 0.0
-            lines = len(self.extract(ranges, angles).lines)
+            before, self._range_weight = self._noise, 0.0
+            lines, _, estimate = self.run_kernel()
+            self._adapt_range(estimate)
             if self._noise is before:  # no line determines it
                 break
             share = lines / (lines + PRIOR_LINES)
             if abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
                 break
-        self._scan_weight = weight
-        self._set_sigma_range(given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share)
+        self._range_weight = weight
+        self._set_noise(given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share, given.sigma_bearing)
         return share > 0.0
 
-    def run_kernel(self) -> tuple[int, int, float]:
+    def run_kernel(self) -> tuple[int, int, NoiseEstimate]:
         """Run the compiled part of `extract` on the last scan; return the kernel's result."""
         return extract_features(self._ranges, self._angles, self._settings, self._memory, tuple(self._output))
+
+    def _load(self, ranges: Floats, angles: Floats) -> None:
+        """Copy a scan, as a read-only array or another data type would trigger a new compilation."""
+        count = len(ranges)
+        if len(angles) != count:
+            raise ValueError(f"{count} ranges but {len(angles)} angles")
+        if count != len(self._ranges):
+            self._allocate(count)
+        self._ranges[:] = ranges
+        self._angles[:] = angles
 
     def _allocate(self, beams: int) -> None:
         """Allocate memory for scans of `beams` beams; larger memory is kept."""
@@ -164,19 +174,36 @@ class Extractor:
             curved=np.zeros(beams + 1, dtype=np.bool_),
             corners=np.zeros((beams + 1, 7)),
             pairs=np.zeros((beams + 1, 2), dtype=np.int64),
-            range_variances=np.zeros(beams + 1),
+            noise=np.zeros((beams + 1, 4)),
         )
 
-    def _adapt_noise(self, variance: float) -> None:
+    def _adapt_range(self, estimate: NoiseEstimate) -> None:
         """Update the geometric running mean of the range variance with that of a scan."""
-        gain = max(1.0 / (self._scan_weight + 1.0), MIN_GAIN)
-        self._scan_weight += 1.0
-        limited = min(max(variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
-        self._set_sigma_range(self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain))
+        if not estimate.range_weight > 0.0:
+            return
+        gain = max(1.0 / (self._range_weight + 1.0), MIN_GAIN) * min(1.0, estimate.range_weight)
+        self._range_weight += 1.0
+        limited = min(max(estimate.range_variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
+        sigma = self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain)
+        self._set_noise(sigma, self._noise.sigma_bearing)
 
-    def _set_sigma_range(self, sigma: float) -> None:
-        self._noise = Noise(sigma, self._noise.sigma_bearing)
-        self._settings = (sigma, *self._settings[1:])
+    def _adapt_bearing(self, estimate: NoiseEstimate) -> None:
+        """Update the running mean of the bearing variance with that of a scan, weighted by its segments.
+
+        Where the noise of the range is larger, single estimates may be negative, so it is no geometric mean.
+        """
+        if not estimate.bearing_weight > 0.0:
+            return
+        self._bearing_weight = min(self._bearing_weight + estimate.bearing_weight, PRIOR_LINES / MIN_GAIN)
+        before = self._noise.sigma_bearing**2
+        gain = min(1.0, estimate.bearing_weight / self._bearing_weight)
+        variance = before + gain * (estimate.bearing_variance - before)
+        sigma = min(max(variance, MIN_SIGMA_BEARING**2), MAX_SIGMA_BEARING**2) ** 0.5
+        self._set_noise(self._noise.sigma_range, sigma)
+
+    def _set_noise(self, sigma_range: float, sigma_bearing: float) -> None:
+        self._noise = Noise(sigma_range, sigma_bearing)
+        self._settings = (sigma_range, sigma_bearing, *self._settings[2:])
 
     def _lines(self, count: int) -> Lines:
         rows = self._output.lines[:count].copy()
