@@ -46,7 +46,7 @@ class Extractor:
     method          "split": recursive splitting, merging and bridging; "tracking": the paper's line tracking
     estimator       line estimator, a name in ESTIMATORS
     noise           standard deviations of a ray's range (metres) and bearing (radians)
-    adapt_noise     estimate the standard deviation of range from the residuals of long walls, scan by scan
+    adapt_noise     estimate the standard deviations from the residuals of long walls, scan by scan
     range_min, range_max  metres; returns outside are ignored. Many lidars report a no-return as a range above 80 m.
     minimum_count   rays of a line. Two parameters are fitted; five rays leave three degrees of freedom for its test.
     minimum_length  metres of a line; shorter ones are furniture and door frames rather than walls
@@ -83,7 +83,7 @@ class Extractor:
         self._noise = noise
         self._adapt = adapt_noise
         self._range_weight = prior_scans
-        self._bearing_weight = PRIOR_LINES
+        self._bearing_weight = prior_scans * PRIOR_LINES
         settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),
@@ -123,7 +123,7 @@ class Extractor:
         return Features(self._lines(lines), self._corners(corners), used)
 
     def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
-        """Estimate the noise from one scan alone, by repeated extraction; return False if it does not determine it.
+        """Estimate the range noise from one scan, by repeated extraction; return False if it does not determine it.
 
         The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
         have wrong covariances, and a running mean corrects it too late. The given noise counts as PRIOR_LINES lines in
@@ -181,7 +181,7 @@ class Extractor:
         """Update the geometric running mean of the range variance with that of a scan."""
         if not estimate.range_weight > 0.0:
             return
-        gain = max(1.0 / (self._range_weight + 1.0), MIN_GAIN) * min(1.0, estimate.range_weight)
+        gain = max(1.0 / (self._range_weight + 1.0), MIN_GAIN)
         self._range_weight += 1.0
         limited = min(max(estimate.range_variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
         sigma = self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain)

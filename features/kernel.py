@@ -283,7 +283,5 @@ def extract_features(
         if before != after and find_corner(rays, count, step, output, before, after, settings, corners):
             corners += 1
     corners = remove_curve_corners(output.corners, output.pairs, output.curved, corners)
-    estimate = NoiseEstimate(
-        *median_estimate(output.noise, estimates, 0), *median_estimate(output.noise, estimates, 2)
-    )
+    estimate = NoiseEstimate(*median_estimate(output.noise, estimates, 0), *median_estimate(output.noise, estimates, 2))
     return lines, corners, estimate
