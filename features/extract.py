@@ -118,8 +118,7 @@ class Extractor:
         used = self._noise
         lines, corners, estimate = self.run_kernel()
         if self._adapt:
-            self._adapt_range(estimate)
-            self._adapt_bearing(estimate)
+            self._set_noise(self._adapted_range(estimate), self._adapted_bearing(estimate))
         return Features(self._lines(lines), self._corners(corners), used)
 
     def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
@@ -137,9 +136,9 @@ class Extractor:
         for _ in range(MAX_SETTLING_EXTRACTIONS):
             before, self._range_weight = self._noise, 0.0
             lines, _, estimate = self.run_kernel()
-            self._adapt_range(estimate)
-            if self._noise is before:  # no line determines it
+            if not estimate.range_weight > 0.0:
                 break
+            self._set_noise(self._adapted_range(estimate), given.sigma_bearing)
             share = lines / (lines + PRIOR_LINES)
             if abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
                 break
@@ -177,29 +176,29 @@ class Extractor:
             noise=np.zeros((beams + 1, 4)),
         )
 
-    def _adapt_range(self, estimate: NoiseEstimate) -> None:
-        """Update the geometric running mean of the range variance with that of a scan."""
+    def _adapted_range(self, estimate: NoiseEstimate) -> float:
+        """Return the root of the geometric running mean of the range variance, after that of one more scan."""
+        sigma = self._noise.sigma_range
         if not estimate.range_weight > 0.0:
-            return
+            return sigma
         gain = max(1.0 / (self._range_weight + 1.0), MIN_GAIN)
         self._range_weight += 1.0
         limited = min(max(estimate.range_variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
-        sigma = self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain)
-        self._set_noise(sigma, self._noise.sigma_bearing)
+        return float(sigma ** (1.0 - gain) * limited ** (0.5 * gain))
 
-    def _adapt_bearing(self, estimate: NoiseEstimate) -> None:
-        """Update the running mean of the bearing variance with that of a scan, weighted by its segments.
+    def _adapted_bearing(self, estimate: NoiseEstimate) -> float:
+        """Return the root of the running mean of the bearing variance, after that of one more scan.
 
-        Where the noise of the range is larger, single estimates may be negative, so it is no geometric mean.
+        Scans are weighted by their segments. The mean is no geometric one, as estimates may be negative where the noise
+        of the range is larger.
         """
-        if not estimate.bearing_weight > 0.0:
-            return
-        self._bearing_weight = min(self._bearing_weight + estimate.bearing_weight, PRIOR_LINES / MIN_GAIN)
-        before = self._noise.sigma_bearing**2
-        gain = min(1.0, estimate.bearing_weight / self._bearing_weight)
-        variance = before + gain * (estimate.bearing_variance - before)
-        sigma = min(max(variance, MIN_SIGMA_BEARING**2), MAX_SIGMA_BEARING**2) ** 0.5
-        self._set_noise(self._noise.sigma_range, sigma)
+        sigma, weight = self._noise.sigma_bearing, estimate.bearing_weight
+        if not weight > 0.0:
+            return sigma
+        self._bearing_weight = min(self._bearing_weight + weight, PRIOR_LINES / MIN_GAIN)
+        gain = min(1.0, weight / self._bearing_weight)
+        variance = sigma * sigma + gain * (estimate.bearing_variance - sigma * sigma)
+        return math.sqrt(min(max(variance, MIN_SIGMA_BEARING**2), MAX_SIGMA_BEARING**2))
 
     def _set_noise(self, sigma_range: float, sigma_bearing: float) -> None:
         self._noise = Noise(sigma_range, sigma_bearing)
