@@ -124,6 +124,8 @@ class SourceReport:
     interpretations  how the content was read where that had to be found out: a topic, a unit, etc.; one line each
     doubts           what is probably wrong with the content, which was read as it is; one line each
     recorded_stamps  stamp as read -> stamp as recorded, seconds, for stamps that were recorded wrongly and restored
+    scan_topic       topic of the scans; None if there is none, as in formats without topics
+    odometry_topic   the same of odometry; None also for odometry from transforms, which is an interpretation
     """
 
     messages: int = 0
@@ -133,6 +135,8 @@ class SourceReport:
     interpretations: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
     recorded_stamps: dict[float, float] = field(default_factory=dict)
+    scan_topic: str | None = None
+    odometry_topic: str | None = None
 
 
 @runtime_checkable

@@ -8,6 +8,7 @@ import numpy as np
 
 from .. import se2
 from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport
+from ..path_length import path_length
 
 GAP_RATIO = 4.0
 """A gap is longer than this ratio times the 90th percentile of the periods, and longer than MIN_GAP."""
@@ -49,7 +50,7 @@ class RecordingInfo:
     ranges: tuple[float, float] | None = None  # smallest and largest measured range
     invalid_share: float | None = None  # of all beams
     intensities: tuple[float, float] | None = None  # of the returns, in the lidar's own unit
-    time_offsets: tuple[float, float] | None = None  # of beams relative to their scan's stamp; (0, 0) if unknown
+    time_offsets: tuple[float, float] | None = None  # of beams after the stamp in most scans; (0, 0) if unknown
     mounts: list[tuple[float, float, float]] = field(default_factory=list)
     path_length: float = 0.0  # by odometry, without its jumps
     scan_gaps: list[Gap] = field(default_factory=list)
@@ -68,7 +69,7 @@ class _ScanStatistics:
     invalid: int = 0
     nearest: float = np.inf
     farthest: float = -np.inf
-    offsets: tuple[float, float] = (np.inf, -np.inf)
+    offsets: list[tuple[float, float]] = field(default_factory=list)
     mounts: dict[bytes, tuple[float, float, float]] = field(default_factory=dict)
     without_mount: int = 0
     weakest: float = np.inf
@@ -87,8 +88,7 @@ class _ScanStatistics:
             strengths = scan.intensities[~np.isnan(scan.ranges) & np.isfinite(scan.intensities)]
             self.weakest = min(self.weakest, float(strengths.min(initial=np.inf)))
             self.strongest = max(self.strongest, float(strengths.max(initial=-np.inf)))
-        low, high = self.offsets
-        self.offsets = min(low, float(scan.time_offsets.min())), max(high, float(scan.time_offsets.max()))
+        self.offsets.append((float(scan.time_offsets.min()), float(scan.time_offsets.max())))
         if scan.mount is None:
             self.without_mount += 1
         elif (key := scan.mount.tobytes()) not in self.mounts:
@@ -132,7 +132,8 @@ def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
     info.ranges = (scans.nearest, scans.farthest) if scans.farthest > 0 else None
     info.invalid_share = scans.invalid / sum(scans.beams)
     info.intensities = (scans.weakest, scans.strongest) if scans.strongest >= scans.weakest else None
-    info.time_offsets = scans.offsets
+    low, high = np.median(scans.offsets, axis=0).tolist()  # a lidar that starts has slower revolutions
+    info.time_offsets = low, high
     info.mounts = list(scans.mounts.values())
 
 
@@ -147,7 +148,8 @@ def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats) -> No
         (turn > MIN_JUMP_TURN) & (turn / elapsed > MAX_TURN_RATE)
     )
     info.odometry_jumps = stamps[1:][jumped].tolist()
-    info.path_length = float(distance[~jumped].sum())
+    displacements = np.where(jumped[:, None], 0.0, np.diff(poses[:, :2], axis=0))
+    info.path_length = path_length(np.concatenate([[[0.0, 0.0]], np.cumsum(displacements, axis=0)]))
 
 
 def _rate_and_gaps(stamps: Floats) -> tuple[float | None, list[Gap]]:

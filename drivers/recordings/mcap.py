@@ -78,6 +78,7 @@ class McapReader(RosReader):
                 schemas[record.id] = record
             elif isinstance(record, Channel):
                 channels[record.id] = record
+                self._stored_topics[record.topic] = _type_name(schemas.get(record.schema_id)) or "?"
             elif isinstance(record, McapMessage):
                 number += 1
                 channel = channels.get(record.channel_id)

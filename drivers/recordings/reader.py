@@ -19,6 +19,7 @@ from .time_ordering import order_by_time
 if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrder, BeamOrderTest
     from ..timing.delay import Delay
+    from ..timing.gyroscope_scale import GyroscopeScale
     from ..timing.mount_heading import MountHeading
     from ..timing.turns import Turns
 
@@ -59,10 +60,14 @@ class RecordingReader(ABC):
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
         frozen = FrozenOdometryDetector()
-        beams_reversed = self.beams_reversed
+        beams_reversed, gyroscope = self.beams_reversed, self.gyroscope_scale
         messages = self._first_or_new_messages()
         report = self.report
-        for message in messages:
+        for line in [] if gyroscope is None else gyroscope.interpretations():
+            self.interpret(line)
+        for line in [] if gyroscope is None else gyroscope.doubts():
+            self.doubt(line)
+        for message in messages if gyroscope is None else gyroscope.converted(messages):
             report.messages += 1
             frozen.add(message)
             yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
@@ -95,6 +100,15 @@ class RecordingReader(ABC):
         from ..timing.beam_order import decide_beam_order
 
         return decide_beam_order(self._turns)
+
+    @cached_property
+    def gyroscope_scale(self) -> GyroscopeScale | None:
+        """Scale of the rates of a gyroscope; None if the recording has none, or does not determine it."""
+        if not self._may_have_gyroscope():
+            return None
+        from ..timing.gyroscope_scale import estimate_gyroscope_scale
+
+        return estimate_gyroscope_scale(self._turns)
 
     @property
     def has_odometry(self) -> bool:
@@ -193,6 +207,10 @@ class RecordingReader(ABC):
     @abstractmethod
     def _read(self) -> Iterator[tuple[int, Message]]:
         """Yield (line or message number, 1-based; message with a finite stamp) in the recording's order."""
+
+    def _may_have_gyroscope(self) -> bool:
+        """Return false if the recording certainly has no rates of a gyroscope, which a subclass knows."""
+        return False
 
     def _empty_reason(self) -> str:
         """Return the error text for a recording without a usable message."""

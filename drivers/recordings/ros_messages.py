@@ -28,8 +28,9 @@ BEAMS = "std_msgs/msg/Float64MultiArray"
 
 MIN_ANGLE_STEP = 1e-6
 """Radians between beams; smaller steps are invalid."""
-MAX_RATE = 100.0
-"""Radians per second; no robot turns as fast, and no gyroscope measures it."""
+MAX_RATE = 6000.0
+"""Rates above are invalid. No gyroscope measures as many degrees per second, which some drivers publish instead of
+radians."""
 MAX_COORDINATE = 1e9
 """Metres; poses that are farther away are invalid."""
 

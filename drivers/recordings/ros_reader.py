@@ -40,9 +40,17 @@ from .ros_messages import (
     yaw_rate_of,
 )
 from .scan_topics import ScanTopic, choose_scan_topic
-from .stored_messages import OdometryTopic, StoredMessage, find_odometry_frames
+from .stored_messages import (
+    OdometryTopic,
+    StoredMessage,
+    choose_odometry_topic,
+    describe_odometry_choice,
+    find_odometry_frames,
+)
 
 GROUND_TRUTH_TOPIC = "/ground_truth"
+SHOWN_TOPICS = 6
+"""Topics that the error names if none of them can be used."""
 MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, IMU, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
 
 
@@ -56,8 +64,9 @@ class RosReader(RecordingReader):
     static transforms, and ground truth.
 
     If there are several topics with scans and none is named, the best one is read (see `scan_topics`); of several
-    topics with odometry or of a gyroscope, the one with the most messages. Scans with several echoes, of which the
-    first of each beam is read, and point clouds are read if their topic is named, or if there are no other scans.
+    topics with odometry, see `choose_odometry_topic`; of those of a gyroscope, the one with the most messages. Scans
+    with several echoes, of which the first of each beam is read, and point clouds are read if their topic is named, or
+    if there are no other scans.
     Raises RecordingError if a named topic does not exist.
 
     cut  layer of point clouds that becomes a scan
@@ -70,6 +79,7 @@ class RosReader(RecordingReader):
         self.scan_topic, self.odometry_topic = scan_topic, odometry_topic
         self.cut = HeightCut()
         self._types = MESSAGE_TYPES
+        self._stored_topics: dict[str, str] = {}  # all topics with their types, as far as these are known
 
     def select_scans(self, topic: str, cut_height: float | None, cut_thickness: float) -> None:
         """Select the topic that is read, and the layer of point clouds; see `RecordingReader`."""
@@ -90,8 +100,11 @@ class RosReader(RecordingReader):
         if reason is not None:
             self.interpret(reason)
         odometry = self._odometry
+        self.report.scan_topic, self.report.odometry_topic = scans, odometry.topic
         if odometry.frames is not None:
             self.interpret(f"odometry from the transforms {' -> '.join(odometry.frames)} on /tf")
+        elif (choice := describe_odometry_choice(contents.counts.get(ODOMETRY, Counter()), odometry.topic)) is not None:
+            self.interpret(choice)
         readings = [ranges_of(message) for message, _ in contents.sample(scans)]
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
         no_return = contents.find_no_return(scans, per_metre)
@@ -207,7 +220,8 @@ class RosReader(RecordingReader):
     def _odometry(self) -> OdometryTopic:
         """Topic with odometry; transforms if there are no messages of the type Odometry."""
         contents = self._contents
-        topic = self._choose_topic(contents, ODOMETRY, self.odometry_topic)
+        named = self.odometry_topic or choose_odometry_topic(contents.counts.get(ODOMETRY, Counter()))
+        topic = self._choose_topic(contents, ODOMETRY, named)
         if topic is not None or not contents.counts.keys() & {TRANSFORMS, TRANSFORMS_ROS1}:
             return OdometryTopic(topic)
         frames = find_odometry_frames(self._messages_to_read(final=False))
@@ -225,8 +239,16 @@ class RosReader(RecordingReader):
             raise RecordingError(self.path, None, f"no topic {named} of type {msgtype}; available: {available}")
         return named
 
+    def _may_have_gyroscope(self) -> bool:
+        return IMU in self._contents.counts
+
     def _empty_reason(self) -> str:
-        return f"contains no readable {LASER_SCAN} and no {ODOMETRY}"
+        reason = f"contains no readable {LASER_SCAN} and no {ODOMETRY}"
+        topics = [f"{topic} ({msgtype})" for topic, msgtype in sorted(self._stored_topics.items())]
+        if not topics:
+            return reason
+        more = len(topics) - SHOWN_TOPICS
+        return f"{reason}; its topics are {', '.join(topics[:SHOWN_TOPICS])}{f' and {more} more' if more > 0 else ''}"
 
 
 def _describe(cut: HeightCut) -> str:

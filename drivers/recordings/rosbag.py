@@ -76,6 +76,7 @@ class BagReader(RosReader):
         try:
             reader = self._reader()
             stack.enter_context(reader)
+            self._stored_topics = {c.topic: c.msgtype for c in reader.connections}
             connections = [c for c in reader.connections if c.msgtype in self._types]
             stored = reader.messages(connections) if connections else iter(())
         except DecompressionError as error:

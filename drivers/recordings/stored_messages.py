@@ -12,6 +12,9 @@ from .ros_messages import ODOMETRY, TRANSFORMS, TRANSFORMS_ROS1, decode, odometr
 from .tf_odometry import TransformOdometry
 from .transforms import TransformTree, normalize_frame
 
+TRUE_POSES = "ground_truth"
+"""Part of the names of topics on which simulators publish the true poses of a robot as Odometry."""
+
 
 @dataclass(frozen=True, slots=True)
 class StoredMessage:
@@ -54,6 +57,27 @@ class OdometryTopic:
         if self.frames is None:
             return [odometry_of(message, stored.received)]
         return TransformOdometry(*self.frames, TransformTree()).readings(message, stored.received)
+
+
+def choose_odometry_topic(counts: Counter[str]) -> str | None:
+    """Return the topic with the most messages, one with the true poses of a simulator only if there is no other.
+
+    counts  messages of each topic of type Odometry; None is returned if there is none
+    """
+    measured = Counter({topic: count for topic, count in counts.items() if TRUE_POSES not in topic})
+    return next((topic for topic, _ in (measured or counts).most_common(1)), None)
+
+
+def describe_odometry_choice(counts: Counter[str], chosen: str | None) -> str | None:
+    """Return which topic is read as odometry as one line of text; None if there was no choice and it is measured."""
+    if chosen is None or (len(counts) < 2 and TRUE_POSES not in chosen):
+        return None
+    others = ", ".join(f"{topic}: {count}" for topic, count in counts.items() if topic != chosen)
+    return (
+        f"odometry of {chosen}: {counts[chosen]} messages"
+        + (f" ({others})" if others else "")
+        + (", true poses by its name" if TRUE_POSES in chosen else "")
+    )
 
 
 def is_moving_transform(stored: StoredMessage) -> bool:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from .. import se2
-from ..messages import Floats, Message, Odometry, Scan
+from ..messages import Floats, Message, Odometry, Scan, YawRate
 from .scan_matching import find_rotation, match, middle_offset, scan_points, surface
 
 # Seconds of a part of a drive. Origin: chosen, a turn with what is before and after it; not measured.
@@ -65,38 +65,49 @@ class _Part:
 class Turns:
     """Turns of a drive, collected from its messages in time order; memory does not grow with the number of scans.
 
-    Turns are found by odometry. Without any, they are found by the scans, if those state the times of their beams.
+    Turns are found by odometry; without any, by a gyroscope, or else by the scans, if those state the times of their
+    beams.
 
     odometry   (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
     positions  (m, 2) of the base at these stamps, metres
+    rates      (k, 2) stamps (seconds, increasing) and rates of a gyroscope as recorded
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
         self._parts: list[_Part] = []
         readings: list[tuple[float, float, float, float]] = []
+        rates: list[tuple[float, float]] = []
         part, end, last = _Part(), -np.inf, -np.inf
         for message in messages:
             if isinstance(message, Scan):
                 if message.stamp >= end:
-                    self._keep(part, has_odometry=bool(readings))
+                    self._keep(part, measured=bool(readings or rates))
                     part, end = _Part(), message.stamp + PART_DURATION
                 if message.stamp >= last + MIN_SCAN_PERIOD:
                     part.scans.append(message)
                     last = message.stamp
             elif isinstance(message, Odometry):
                 if not readings:
-                    self._parts.clear()  # those before were found by the scans
+                    self._parts.clear()  # those before were found otherwise
                 x, y, heading = message.pose.tolist()
                 readings.append((message.stamp, heading, x, y))
                 rate = _latest_rate(readings)
                 part.slowest, part.fastest = min(part.slowest, rate), max(part.fastest, rate)
-        self._keep(part, has_odometry=bool(readings))
+            elif isinstance(message, YawRate) and (not rates or message.stamp > rates[-1][0]):
+                rates.append((message.stamp, message.rate))
+                if not readings:
+                    part.slowest, part.fastest = min(part.slowest, message.rate), max(part.fastest, message.rate)
+        self._keep(part, measured=bool(readings or rates))
+        self.rates = np.array(rates).reshape(-1, 2)
         path = _strictly_increasing(np.array(readings).reshape(-1, 4))
         self.odometry, self.positions = path[:, :2], path[:, 2:]
 
-    def _keep(self, part: _Part, has_odometry: bool) -> None:
-        """Add a part, and drop those with the least activity if there are more scans than MAX_SCANS."""
-        if not has_odometry and (rates := _rates_of_scans(part.scans)):
+    def _keep(self, part: _Part, measured: bool) -> None:
+        """Add a part, and drop those with the least activity if there are more scans than MAX_SCANS.
+
+        measured  if turns are, by odometry or a gyroscope
+        """
+        if not measured and (rates := _rates_of_scans(part.scans)):
             part.slowest, part.fastest = min(rates), max(rates)
         if len(part.scans) < 2 or part.activity <= 0.0:
             return

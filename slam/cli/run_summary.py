@@ -60,7 +60,7 @@ def summarise_run(
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "path_length": Trajectory(finished.stamps, finished.poses).length,
         "slam_seconds": slam_seconds,
         "wall_seconds": seconds,
         "real_time_factor": statistics.duration / slam_seconds,

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers import se2
+from drivers.path_length import path_length
 
 from ..errors import MapError
 from ..geometry.segments import Floats
@@ -76,9 +77,9 @@ class Trajectory:
         return float(self.stamps[-1] - self.stamps[0])
 
     @property
-    def travelled(self) -> Floats:
-        """(n,) travelled distance up to each pose, metres."""
-        return distance_along(self.poses[:, :2])
+    def length(self) -> float:
+        """Travelled distance, metres; see `path_length`."""
+        return path_length(self.poses[:, :2])
 
     def at(self, stamps: ArrayLike) -> Lookup:
         """Return the poses at `stamps` (n,): the nearest within STAMP_TOLERANCE, else interpolated."""

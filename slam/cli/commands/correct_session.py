@@ -70,7 +70,7 @@ def _summary(before: dict[str, Any], corrected: CorrectedSession) -> dict[str, A
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "path_length": Trajectory(finished.stamps, finished.poses).length,
         "truth": None,  # the error before the corrections no longer applies
         "slam": slam
         | {"suspects": finished.summary["suspects"]}

@@ -39,7 +39,7 @@ def info(
 def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     """Return the description as lines of text, without entries that the recording does not have."""
     rows = [("time", _time(found))]
-    rows.append(("scans", _count(found.scans, found.scan_rate)))
+    rows.append(("scans", _count(found.scans, found.scan_rate) + _source(found.report.scan_topic)))
     if found.beams and found.field_of_view:
         few, many = found.beams
         first, last = (math.degrees(angle) for angle in found.field_of_view)
@@ -58,7 +58,10 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
         rows.append(("intensity", "{:g} to {:g}, in the lidar's own unit".format(*found.intensities)))
     for x, y, heading in found.mounts:
         rows.append(("lidar", f"mounted at x {x:z.3f} m, y {y:z.3f} m, heading {math.degrees(heading):z.1f} degrees"))
-    rows.append(("odometry", _count(found.odometry, found.odometry_rate) + f", {found.path_length:.1f} m driven"))
+    driven = f", {found.path_length:.1f} m driven" if found.odometry else ""
+    rows.append(
+        ("odometry", _count(found.odometry, found.odometry_rate) + driven + _source(found.report.odometry_topic))
+    )
     rows += [("timing", text) for text in timing.findings()]
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))
@@ -78,3 +81,7 @@ def _time(found: RecordingInfo) -> str:
 
 def _count(count: int, rate: float | None) -> str:
     return f"{count}" if rate is None else f"{count}, {rate:.3g} per second"
+
+
+def _source(topic: str | None) -> str:
+    return "" if topic is None else f", from {topic}"

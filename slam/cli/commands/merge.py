@@ -135,4 +135,4 @@ def _path_length(finished: Finished, recording: Recording) -> float:
     from ...io.tum import Trajectory
 
     own = (finished.stamps >= recording.first) & (finished.stamps <= recording.last)
-    return float(Trajectory(finished.stamps[own], finished.poses[own]).travelled[-1]) if own.any() else 0.0
+    return Trajectory(finished.stamps[own], finished.poses[own]).length if own.any() else 0.0

@@ -123,7 +123,7 @@ def _optimise(
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": float(Trajectory(finished.stamps, finished.poses).travelled[-1]),
+        "path_length": Trajectory(finished.stamps, finished.poses).length,
         "truth": None,  # the error before refinement no longer applies
         "recordings": [recording.model_dump() for recording in session.recordings],
         "slam": summary.get("slam", {})

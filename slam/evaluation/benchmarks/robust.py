@@ -235,7 +235,7 @@ class _Run:
             reference=reference,
             scans=self._beams.scans,
             duration=path.duration,
-            travelled=float(path.travelled[-1]),
+            travelled=path.length,
             slam=slam,
             odometry=raw,
             placed=self._placed / max(self._beams.scans, 1),

@@ -136,7 +136,7 @@ def run_timed(spec: RunSpec) -> tuple[RunResult, MessageTimer]:
         scored_by=scored_by,
         scans=scans,
         duration=stamps[-1] - stamps[0],
-        travelled=float(path.travelled[-1]),
+        travelled=path.length,
         error=error,
         median=median,
         rotation=rotation,

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from drivers import se2
+from drivers.path_length import path_length
 
 from ...events import LoopDecided, MapUpdated, StateChanged
 from ...io.keyframes_csv import Keyframes
@@ -84,7 +85,7 @@ def plot_closure(path: Path, decided: LoopDecided, after: MapUpdated) -> None:
     beside = aspect < MAX_ASPECT_BESIDE
     size = (CLOSURE_SIDE * aspect * 2, CLOSURE_SIDE) if beside else (CLOSURE_WIDTH, CLOSURE_WIDTH / aspect * 2)
     figure = Figure(figsize=(size[0] + 0.6, size[1] + 1.5), dpi=DOTS_PER_INCH, layout="constrained")
-    title = f"A loop of {_path_length(paths[0]):.0f} m is closed: the estimate moves by {decided.shift:.2f} m"
+    title = f"A loop of {path_length(paths[0]):.0f} m is closed: the estimate moves by {decided.shift:.2f} m"
     figure.suptitle(title, x=0.01, ha="left", fontsize=13, fontweight="bold", color=INK)
     panels: Sequence[Axes] = figure.subplots(*((1, 2) if beside else (2, 1)), sharex=True, sharey=True)
     names = (
@@ -170,7 +171,3 @@ def _errors(keyframes: Keyframes, truth: Trajectory) -> tuple[Floats, Floats]:
     actual = truth.at(keyframes.stamps).poses
     relative = se2.between(actual[0], actual)
     return relative, se2.between(relative, se2.between(keyframes.poses[0], keyframes.poses))
-
-
-def _path_length(path: Floats) -> float:
-    return float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())

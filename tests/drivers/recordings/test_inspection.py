@@ -82,6 +82,11 @@ def test_problems_are_warned_of(messages: list[Message], warning: str) -> None:
     assert any(warning in line for line in inspect_list(messages).warnings), inspect_list(messages).warnings
 
 
+def test_single_slow_revolutions_are_not_warned_of() -> None:
+    info = inspect_list([*drive(), scan(10.1, offset=0.5)])
+    assert info.warnings == []
+
+
 def test_scans_in_a_gap_of_the_odometry_are_warned_of() -> None:
     messages = [m for m in drive(20.0) if isinstance(m, Scan) or not 5.0 < m.stamp < 14.9]
     warnings = inspect_list(messages).warnings

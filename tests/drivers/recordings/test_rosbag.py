@@ -170,6 +170,27 @@ def test_topic_with_the_most_messages_is_read(tmp_path: Path, write_bag: WriteBa
         list(BagReader(path, scan_topic="/side"))
 
 
+@pytest.mark.parametrize(
+    ("topics", "chosen", "stated"),
+    [
+        (["/odom"], "/odom", None),
+        (["/odom"] * 2 + ["/odometry/filtered"] * 3, "/odometry/filtered", "3 messages (/odom: 2)"),
+        (["/base_pose_ground_truth"] * 3 + ["/odom"] * 2, "/odom", "2 messages (/base_pose_ground_truth: 3)"),
+        (["/base_pose_ground_truth"] * 3, "/base_pose_ground_truth", "3 messages, true poses by its name"),
+    ],
+)
+def test_measured_odometry_is_preferred_and_a_choice_is_stated(
+    tmp_path: Path, write_bag: WriteBag, topics: list[str], chosen: str, stated: str | None
+) -> None:
+    encoder = RosEncoder()
+    odometry = [encoder.odometry(Odometry(1.0 + 0.1 * k, np.zeros(3))) for k in range(len(topics))]
+    entries = [(topic, ODOMETRY, k, data) for k, (topic, data) in enumerate(zip(topics, odometry, strict=True), 1)]
+    source = BagReader(write_bag(tmp_path / "bag", entries))
+    assert len(list(source)) == topics.count(chosen)
+    assert source.report.odometry_topic == chosen
+    assert source.report.interpretations == ([] if stated is None else [f"odometry of {chosen}: {stated}"])
+
+
 def test_bad_messages_are_skipped_and_numbered(tmp_path: Path, write_bag: WriteBag) -> None:
     encoder = RosEncoder()
     odometry = encoder.odometry(Odometry(1.0, np.zeros(3)))
@@ -190,7 +211,7 @@ def test_bad_messages_are_skipped_and_numbered(tmp_path: Path, write_bag: WriteB
 
 def test_bag_without_scans_and_odometry_is_an_error(tmp_path: Path, write_bag: WriteBag) -> None:
     path = write_bag(tmp_path / "bag", [transform("base_link", "laser", (0, 0, 0), UPRIGHT)])
-    with pytest.raises(RecordingError, match="contains no readable"):
+    with pytest.raises(RecordingError, match=r"contains no readable .*; its topics are /tf_static \(tf2_msgs/msg/TFM"):
         list(BagReader(path))
 
 

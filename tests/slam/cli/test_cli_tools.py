@@ -15,7 +15,13 @@ def test_simulate_writes_a_recording_that_info_describes(wclm: Any, tmp_path: Pa
     assert result.exit_code == 0, result.output
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.mcap"]
     text = wclm("info", "a.mcap").stdout
-    for words in ("29, 10 per second", "76, 25 per second", "920 from -180.0 to 179.6 degrees", "at x 0.100 m"):
+    for words in (
+        "29, 10 per second, from /scan",
+        "76, 25 per second",
+        " m driven, from /odom",
+        "920 from -180.0 to 179.6 degrees",
+        "at x 0.100 m",
+    ):
         assert words in text
     wclm.refuses("simulate", "room", "a.mcap", "--duration", "3", because=["a.mcap: exists already"])
     assert wclm("simulate", "room", "a.mcap", "--duration", "3", "--overwrite").exit_code == 0
