@@ -33,11 +33,16 @@ MAX_SETTLING_EXTRACTIONS = 5
 # Lines of a scan that determine the noise as well as it is given: surfaces differ in roughness.
 # Origin: chosen; not measured.
 PRIOR_LINES = 10
+# Lines that determine the bearing noise as well as it is given. Origin: definition, data sheets rarely state it, so its
+# variance may be wrong by as much as itself; a line's estimate has that standard deviation.
+PRIOR_BEARING_LINES = 1.0
 # Relative change of the standard deviation of range below which it has settled. Origin: numerical.
 SETTLED = 0.01
 # Minimum weight of a new scan in the running mean of the range variance: a memory of about 30 scans.
 # Origin: chosen; not measured.
 MIN_GAIN = 0.03
+# Lines in the memory of the running mean of the bearing variance. Origin: definition, as many scans of PRIOR_LINES.
+MEMORY_LINES = PRIOR_LINES / MIN_GAIN
 
 
 class Extractor:
@@ -54,7 +59,7 @@ class Extractor:
     penalty         decrease of chi-square that a further break must bring
     roughness       metres by which real walls deviate from straight lines; breaks must exceed it
     tracking_distance  metres from a tracked line within which a ray belongs to it
-    prior_scans     weight of the given range noise relative to observed scans
+    learned         the given noise is that of earlier scans of this lidar, so it changes slowly
     """
 
     def __init__(
@@ -72,7 +77,7 @@ class Extractor:
         penalty: float = segmentation.PENALTY,
         roughness: float = ROUGHNESS,
         tracking_distance: float = line_tracking.PAPER_DISTANCE,
-        prior_scans: float = PRIOR_SCANS,
+        learned: bool = False,
     ) -> None:
         if estimator not in ESTIMATORS:
             raise ValueError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
@@ -82,8 +87,8 @@ class Extractor:
             raise ValueError(f"noise must be positive, not {noise}")
         self._noise = noise
         self._adapt = adapt_noise
-        self._range_weight = prior_scans
-        self._bearing_weight = prior_scans * PRIOR_LINES
+        self._range_weight = 1.0 / MIN_GAIN if learned else PRIOR_SCANS
+        self._bearing_weight = MEMORY_LINES if learned else PRIOR_BEARING_LINES
         settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),
@@ -118,32 +123,35 @@ class Extractor:
         used = self._noise
         lines, corners, estimate = self.run_kernel()
         if self._adapt:
-            self._set_noise(self._adapted_range(estimate), self._adapted_bearing(estimate))
+            sigma_range = self._adapted_range(estimate)
+            self._set_noise(sigma_range, self._adapted_bearing(estimate, used.sigma_bearing))
         return Features(self._lines(lines), self._corners(corners), used)
 
     def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
-        """Estimate the range noise from one scan, by repeated extraction; return False if it does not determine it.
+        """Estimate the noise from one scan, by repeated extraction; return False if it does not determine it.
 
         The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
-        have wrong covariances, and a running mean corrects it too late. The given noise counts as PRIOR_LINES lines in
-        a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is not
+        have wrong covariances, and a running mean corrects it too late. The given range noise counts as PRIOR_LINES
+        lines in a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is not
         adapted.
         """
         if not self._adapt:
             return True
         self._load(ranges, angles)
-        given, weight, share = self._noise, self._range_weight, 0.0
+        given, weights, share = self._noise, (self._range_weight, self._bearing_weight), 0.0
         for _ in range(MAX_SETTLING_EXTRACTIONS):
             before, self._range_weight = self._noise, 0.0
             lines, _, estimate = self.run_kernel()
             if not estimate.range_weight > 0.0:
                 break
-            self._set_noise(self._adapted_range(estimate), given.sigma_bearing)
+            sigma_range, self._bearing_weight = self._adapted_range(estimate), weights[1]
+            self._set_noise(sigma_range, self._adapted_bearing(estimate, given.sigma_bearing))
             share = lines / (lines + PRIOR_LINES)
             if abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
                 break
-        self._range_weight = weight
-        self._set_noise(given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share, given.sigma_bearing)
+        self._range_weight, self._bearing_weight = weights
+        sigma_range = given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share
+        self._set_noise(sigma_range, self._noise.sigma_bearing)
         return share > 0.0
 
     def run_kernel(self) -> tuple[int, int, NoiseEstimate]:
@@ -186,16 +194,16 @@ class Extractor:
         limited = min(max(estimate.range_variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
         return float(sigma ** (1.0 - gain) * limited ** (0.5 * gain))
 
-    def _adapted_bearing(self, estimate: NoiseEstimate) -> float:
-        """Return the root of the running mean of the bearing variance, after that of one more scan.
+    def _adapted_bearing(self, estimate: NoiseEstimate, sigma: float) -> float:
+        """Return the root of the running mean of the bearing variance, after that of one more scan; `sigma` before.
 
         Scans are weighted by their segments. The mean is no geometric one, as estimates may be negative where the noise
         of the range is larger.
         """
-        sigma, weight = self._noise.sigma_bearing, estimate.bearing_weight
+        weight = estimate.bearing_weight
         if not weight > 0.0:
             return sigma
-        self._bearing_weight = min(self._bearing_weight + weight, PRIOR_LINES / MIN_GAIN)
+        self._bearing_weight = min(self._bearing_weight + weight, MEMORY_LINES)
         gain = min(1.0, weight / self._bearing_weight)
         variance = sigma * sigma + gain * (estimate.bearing_variance - sigma * sigma)
         return math.sqrt(min(max(variance, MIN_SIGMA_BEARING**2), MAX_SIGMA_BEARING**2))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from drivers.compiled import is_cached
 from features import Extractor, Noise
-from features.extract import MIN_GAIN, PRIOR_SCANS
 from features.kernel import extract_features
 
 from ..config import FeatureConfig, LidarConfig
@@ -18,7 +17,7 @@ def build_extractor(lidar: LidarConfig, features: FeatureConfig, noise: Noise | 
     learned = noise if lidar.adapt_noise else None
     return Extractor(
         learned or Noise(lidar.sigma_range, lidar.sigma_bearing),
-        prior_scans=1.0 / MIN_GAIN if learned else PRIOR_SCANS,
+        learned=learned is not None,
         method=features.segmentation,
         estimator=features.estimator,
         adapt_noise=lidar.adapt_noise,

@@ -230,6 +230,16 @@ def test_the_first_scan_settles_most_of_a_wrong_noise(simulate: Callable[..., ob
     assert by_settling < 0.75 * by_extraction
 
 
+def test_the_first_scan_settles_most_of_a_wrong_bearing_noise(simulate: Callable[..., object]) -> None:
+    settled = []
+    for seed in range(20):
+        scan = simulate(seed, beams=500, sigma_range=0.005, sigma_bearing=np.radians(0.4))
+        extractor = Extractor(Noise(0.005, np.radians(0.05)))
+        assert extractor.settle_noise(scan.ranges, scan.angles)
+        settled.append(extractor.noise.sigma_bearing)
+    assert np.median(settled) == pytest.approx(np.radians(0.4), rel=0.5)
+
+
 def test_a_scan_without_lines_settles_nothing(simulate: Callable[..., object]) -> None:
     angles, extractor = np.linspace(-np.pi, np.pi, 360, endpoint=False), Extractor(NOISE)
     assert not extractor.settle_noise(np.full(360, np.nan), angles)
