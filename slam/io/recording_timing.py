@@ -32,6 +32,7 @@ class RecordingTiming:
     used_delay      seconds that are compensated
     mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
     mount_is_set    if the settings state the mount
+    turn_doubts     what is probably wrong with the turns of odometry, as lines of text
     """
 
     beams_reversed: bool = False
@@ -40,6 +41,7 @@ class RecordingTiming:
     used_delay: float = 0.0
     mount_heading: MountHeading | None = None
     mount_is_set: bool = False
+    turn_doubts: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
@@ -60,11 +62,13 @@ class RecordingTiming:
         test = reader.beam_order_test if lidar is None or lidar.beam_order == "auto" else None
         mount = None if lidar is None else lidar.mount
         heading = _contradicting(reader.mount_heading, mount)
+        turns = reader.odometry_turns
+        doubts = () if turns is None else tuple(turns.doubts(corrected=reader.upside_down is not None))
         if set_delay is not None:
-            return cls(reader.beams_reversed, test, None, set_delay, heading, mount is not None)
+            return cls(reader.beams_reversed, test, None, set_delay, heading, mount is not None, doubts)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beams_reversed, test, delay, used, heading, mount is not None)
+        return cls(reader.beams_reversed, test, delay, used, heading, mount is not None, doubts)
 
     @property
     def used_heading(self) -> float | None:
@@ -120,9 +124,9 @@ class RecordingTiming:
         return lines
 
     def doubts(self) -> list[str]:
-        """Return what is probably wrong with the lidar's mount, as lines of text."""
-        if self.mount_heading is None or self.used_heading is not None:
-            return []
+        """Return what is probably wrong with the lidar's mount or the turns of odometry, as lines of text."""
+        if self.mount_heading is None or self.used_heading is not None or self.turn_doubts:
+            return list(self.turn_doubts)
         return [
             f"the lidar seems to be turned by {self._turn()} on the robot, which its mount does not state: set "
             f"lidar.mount=[0,0,{self.mount_heading.found:.2f}], or estimate it by `wclm calibrate`"
