@@ -90,6 +90,17 @@ def with_reversed_times(scan: Scan) -> Scan:
     return replace(scan, time_offsets=offsets.max() + offsets.min() - offsets) if len(offsets) else scan
 
 
+def mirrored(scan: Scan) -> Scan:
+    """Return a scan as of a lidar that was turned over about the axis that points ahead."""
+    return replace(
+        scan,
+        ranges=scan.ranges[::-1],
+        angles=-scan.angles[::-1],
+        time_offsets=scan.time_offsets[::-1],
+        intensities=None if scan.intensities is None else scan.intensities[::-1],
+    )
+
+
 def delay_odometry(message: Message, seconds: float) -> Message:
     """Return the message on the lidar's clock: stamps of odometry and gyroscope are moved by the delay, seconds.
 

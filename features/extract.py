@@ -132,8 +132,8 @@ class Extractor:
 
         The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
         have wrong covariances, and a running mean corrects it too late. The given range noise counts as PRIOR_LINES
-        lines in a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is not
-        adapted.
+        lines in a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is
+        not adapted.
         """
         if not self._adapt:
             return True

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Scan, SourceReport, with_reversed_times
+from ..messages import GroundTruth, Message, Scan, SourceReport, mirrored, with_reversed_times
 from .frozen_odometry import FrozenOdometryDetector
 from .stamp_units import in_seconds
 from .time_ordering import order_by_time
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from ..timing.gyroscope_scale import GyroscopeScale
     from ..timing.mount_heading import MountHeading
     from ..timing.turns import Turns
+    from ..timing.upside_down import OdometryTurns
 
 MAX_KEPT_BYTES = 1 << 26
 """Bytes of the arrays of scans up to which the messages of a survey are kept for the next iteration: most recordings of
@@ -60,14 +61,18 @@ class RecordingReader(ABC):
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
         frozen = FrozenOdometryDetector()
-        beams_reversed, gyroscope = self.beams_reversed, self.gyroscope_scale
+        beams_reversed = self.beams_reversed
+        upside_down, gyroscope = self.upside_down, self.gyroscope_scale
         messages = self._first_or_new_messages()
         report = self.report
-        for line in [] if gyroscope is None else gyroscope.interpretations():
-            self.interpret(line)
-        for line in [] if gyroscope is None else gyroscope.doubts():
-            self.doubt(line)
-        for message in messages if gyroscope is None else gyroscope.converted(messages):
+        if upside_down is not None:
+            self.interpret(upside_down)
+            messages = self._turned_over(messages)
+        if gyroscope is not None:
+            report.interpretations += gyroscope.interpretations()
+            report.doubts += gyroscope.doubts()
+            messages = gyroscope.converted(messages)
+        for message in messages:
             report.messages += 1
             frozen.add(message)
             yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
@@ -110,6 +115,24 @@ class RecordingReader(ABC):
 
         return estimate_gyroscope_scale(self._turns)
 
+    @cached_property
+    def odometry_turns(self) -> OdometryTurns | None:
+        """Comparison of the turns of odometry with those of the scans as recorded; None if they do not show any."""
+        from ..timing.upside_down import compare_odometry_turns
+
+        return compare_odometry_turns(self._turns_as_recorded)
+
+    @cached_property
+    def upside_down(self) -> str | None:
+        """Why scans are mirrored when they are read, as text; None if they are not.
+
+        They are if no mount states whether the lidar is upside down, and odometry shows that it is.
+        """
+        first = next((message for message in self._survey_messages() if isinstance(message, Scan)), None)
+        if first is None or first.mount is not None or self.odometry_turns is None:
+            return None
+        return self.odometry_turns.upside_down()
+
     @property
     def has_odometry(self) -> bool:
         """True if the recording contains odometry."""
@@ -134,7 +157,20 @@ class RecordingReader(ABC):
         """What is known of the whole recording before it is read: collected once, as that takes as long as reading."""
         from ..timing.turns import Turns
 
+        if self.upside_down is None:
+            return self._turns_as_recorded
+        return Turns(self._turned_over(self._survey_messages()))
+
+    @cached_property
+    def _turns_as_recorded(self) -> Turns:
+        from ..timing.turns import Turns
+
         return Turns(self._survey_messages())
+
+    @staticmethod
+    def _turned_over(messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield messages with mirrored scans."""
+        return (mirrored(message) if isinstance(message, Scan) else message for message in messages)
 
     def _survey_messages(self) -> Iterator[Message]:
         """Yield the messages as they are recorded, without an entry in the report.

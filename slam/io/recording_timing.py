@@ -32,6 +32,7 @@ class RecordingTiming:
     used_delay      seconds that are compensated
     mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
     used_heading    heading of the mount that is used, radians, if neither recording nor settings state any; else None
+    turn_doubts     what is probably wrong with the turns of odometry, as lines of text
     """
 
     beams_reversed: bool = False
@@ -40,6 +41,7 @@ class RecordingTiming:
     used_delay: float = 0.0
     mount_heading: MountHeading | None = None
     used_heading: float | None = None
+    turn_doubts: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
@@ -63,11 +65,13 @@ class RecordingTiming:
         used_heading = None
         if heading is not None and heading.stated is None and mount is None:
             used_heading = heading.found
+        turns = reader.odometry_turns
+        doubts = () if turns is None else tuple(turns.doubts(corrected=reader.upside_down is not None))
         if set_delay is not None:
-            return cls(reader.beams_reversed, test, None, set_delay, heading, used_heading)
+            return cls(reader.beams_reversed, test, None, set_delay, heading, used_heading, doubts)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beams_reversed, test, delay, used, heading, used_heading)
+        return cls(reader.beams_reversed, test, delay, used, heading, used_heading, doubts)
 
     def compensated(self, config: Config) -> Config:
         """Return the settings with the delay that is compensated, and the heading of a mount that is not stated."""
@@ -117,9 +121,9 @@ class RecordingTiming:
         return lines
 
     def doubts(self) -> list[str]:
-        """Return what is probably wrong with the lidar's mount, as lines of text."""
-        if self.mount_heading is None or self.used_heading is not None:
-            return []
+        """Return what is probably wrong with the lidar's mount or the turns of odometry, as lines of text."""
+        if self.mount_heading is None or self.used_heading is not None or self.turn_doubts:
+            return list(self.turn_doubts)
         return [
             f"the lidar seems to be turned by {self._turn()} on the robot, which its mount does not state: set "
             f"lidar.mount=[0,0,{self.mount_heading.found:.2f}], or estimate it by `wclm calibrate`"

@@ -12,6 +12,7 @@ import drivers
 from drivers.messages import Message, Odometry, Scan, YawRate
 from drivers.recordings.mcap import McapWriter
 from drivers.timing.gyroscope_scale import GyroscopeScale, estimate_gyroscope_scale
+from drivers.timing.turn_scale import TurnScale
 from drivers.timing.turns import Turns
 
 from .drives import office_drive
@@ -47,7 +48,7 @@ def test_unit_and_direction_are_found(scale: float, wheels: bool) -> None:
     found = estimate_gyroscope_scale(Turns(with_rates(scale, wheels=wheels)))
     assert found is not None
     assert found.used == scale
-    assert found.found == pytest.approx(scale, rel=0.05)
+    assert found.turns.found == pytest.approx(scale, rel=0.05)
 
 
 def test_rates_of_another_axis_measure_nothing() -> None:
@@ -57,12 +58,12 @@ def test_rates_of_another_axis_measure_nothing() -> None:
     assert rates_of(list(found.converted(with_rates(0.01)))) == []
 
 
-def test_an_uncertain_scale_changes_nothing() -> None:
-    assert GyroscopeScale(-60.0, 20.0, 20).used == 1.0
-    assert GyroscopeScale(-60.0, 2.0, 20).used == -DEGREES
-    assert GyroscopeScale(0.0, 0.2, 20).used == 1.0
-    assert GyroscopeScale(8.0, 0.01, 20).used is None
-    assert GyroscopeScale(1.3, 0.001, 20).used == 1.0
+@pytest.mark.parametrize(
+    ("found", "sigma", "used"),
+    [(-60.0, 20.0, 1.0), (-60.0, 2.0, -DEGREES), (0.0, 0.2, 1.0), (8.0, 0.01, None), (1.3, 0.001, 1.0)],
+)
+def test_an_uncertain_scale_changes_nothing(found: float, sigma: float, used: float | None) -> None:
+    assert GyroscopeScale(TurnScale(found, sigma, 20)).used == used
 
 
 def test_nothing_is_found_without_rates_or_turns() -> None:

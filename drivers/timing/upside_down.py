@@ -1,0 +1,48 @@
+"""Find a lidar that is mounted upside down, whose scans are mirrored, by the turns of odometry."""
+
+from __future__ import annotations
+
+from .turn_scale import TurnScale, estimate_turn_scale
+from .turns import Turns
+
+# Seconds between odometry readings at most, to interpolate between them.
+# Origin: chosen, as between scans; not measured.
+MAX_PERIOD = 0.6
+MIRRORED = -1.0
+"""Scale of the turns of odometry if the scans are mirrored."""
+
+
+class OdometryTurns:
+    """What the turns of odometry, as multiples of those of the scans, say of the lidar's mount."""
+
+    def __init__(self, turns: TurnScale) -> None:
+        self._turns, self._used = turns, turns.decide([MIRRORED])
+
+    def upside_down(self) -> str | None:
+        """Return that the lidar is upside down, as a line of text; None if it is not."""
+        if self._used != MIRRORED:
+            return None
+        return f"scans of a lidar that is upside down, since odometry measures {self._turns}; mirrored"
+
+    def doubts(self, *, corrected: bool) -> list[str]:
+        """Return what is probably wrong with odometry or the lidar's mount, as lines of text.
+
+        corrected  if the scans are mirrored when they are read
+        """
+        if self._used is None:
+            return [f"odometry does not measure the turns of the robot: it measures {self._turns}"]
+        if self._used == MIRRORED and not corrected:
+            return [
+                f"odometry measures {self._turns}: the lidar is upside down, which its mount does not state, or "
+                "odometry turns the wrong way"
+            ]
+        return []
+
+
+def compare_odometry_turns(turns: Turns) -> OdometryTurns | None:
+    """Return the comparison over the turns of a drive; None if the data do not determine it."""
+    if len(turns.odometry) < 2:
+        return None
+    stamps, headings = turns.odometry.T
+    found = estimate_turn_scale(turns.runs, stamps, headings, MAX_PERIOD)
+    return None if found is None else OdometryTurns(found)

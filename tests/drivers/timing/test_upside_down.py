@@ -1,0 +1,93 @@
+"""A lidar that is upside down is found by the turns of odometry, and its scans are mirrored if no mount is stated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drivers
+from drivers.messages import Message, Odometry, Scan, mirrored
+from drivers.recordings.mcap import McapWriter
+from drivers.timing.turn_scale import TurnScale
+from drivers.timing.turns import Turns
+from drivers.timing.upside_down import OdometryTurns, compare_odometry_turns
+from slam.io.recording_timing import RecordingTiming
+
+from .drives import office_drive
+
+
+def upside_down(*, stated: bool) -> list[Message]:
+    """Return a drive whose scans are mirrored, with or without the lidar's mount."""
+    return [
+        replace(mirrored(message), mount=message.mount if stated else None) if isinstance(message, Scan) else message
+        for message in office_drive()
+    ]
+
+
+def written(path: Path, messages: Sequence[Message]) -> str:
+    with McapWriter(path) as writer:
+        for message in messages:
+            writer.write(message)
+    return str(path)
+
+
+def test_a_scan_that_is_mirrored_twice_is_as_before() -> None:
+    scan = next(message for message in office_drive() if isinstance(message, Scan))
+    again = mirrored(mirrored(scan))
+    assert np.all(np.diff(mirrored(scan).angles) > 0.0)
+    for name in ("ranges", "angles", "time_offsets"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(scan, name))
+
+
+def test_scans_without_a_mount_are_mirrored(tmp_path: Path) -> None:
+    source = drivers.open(written(tmp_path / "drive.mcap", upside_down(stated=False)))
+    read = [message for message in source if isinstance(message, Scan)]
+    true = [message for message in office_drive() if isinstance(message, Scan)]
+    np.testing.assert_array_equal([scan.ranges for scan in read], [scan.ranges for scan in true])
+    assert any("upside down" in line for line in source.report.interpretations)
+    timing = RecordingTiming.of(source)
+    assert timing.doubts() == []
+    assert not timing.beams_reversed
+
+
+def test_a_stated_mount_is_doubted_and_nothing_is_mirrored(tmp_path: Path) -> None:
+    messages = upside_down(stated=True)
+    source = drivers.open(written(tmp_path / "drive.mcap", messages))
+    read = [message for message in source if isinstance(message, Scan)]
+    np.testing.assert_array_equal(read[9].ranges, [m for m in messages if isinstance(m, Scan)][9].ranges)
+    assert "the lidar is upside down, which its mount does not state" in "".join(RecordingTiming.of(source).doubts())
+
+
+def test_an_upright_lidar_is_read_as_it_is(tmp_path: Path) -> None:
+    messages = [replace(m, mount=None) if isinstance(m, Scan) else m for m in office_drive()]
+    source = drivers.open(written(tmp_path / "drive.mcap", messages))
+    read = [message for message in source if isinstance(message, Scan)]
+    np.testing.assert_array_equal(read[9].ranges, [m for m in messages if isinstance(m, Scan)][9].ranges)
+    assert source.report.interpretations == []
+
+
+def test_odometry_that_hardly_turns_is_doubted() -> None:
+    straight = [
+        replace(message, pose=message.pose * np.array([1.0, 1.0, 0.01])) if isinstance(message, Odometry) else message
+        for message in office_drive()
+    ]
+    found = compare_odometry_turns(Turns(straight))
+    assert found is not None
+    assert found.upside_down() is None
+    assert "does not measure the turns" in "".join(found.doubts(corrected=False))
+
+
+@pytest.mark.parametrize(("found", "sigma"), [(-1.0, 0.3), (0.0, 0.2), (0.6, 0.001), (1.9, 0.001)])
+def test_what_is_uncertain_is_not_doubted(found: float, sigma: float) -> None:
+    turns = OdometryTurns(TurnScale(found, sigma, 20))
+    assert turns.upside_down() is None
+    assert turns.doubts(corrected=False) == []
+
+
+def test_nothing_is_found_without_odometry() -> None:
+    assert compare_odometry_turns(Turns([])) is None
+    assert compare_odometry_turns(Turns([message for message in office_drive() if isinstance(message, Scan)])) is None
