@@ -22,7 +22,7 @@ from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
 from .io.recording_timing import timed
-from .io.recordings import has_odometry, open_source
+from .io.recordings import open_source, reason_without_odometry
 from .io.run_results import RunResults
 from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
@@ -150,7 +150,7 @@ def run(
 
     recording  path, or a specification like `sim:office?seed=3`: see `drivers.open`
     config     settings, also of the topics of the lidars; a delay of the lidar that the recording shows is compensated
-               if none is set, and a recording without odometry is mapped without it
+               if none is set, and a recording without odometry, or with one that never moves, is mapped without it
     refine     refine the whole map offline: more accurate, and slower
     sinks      receive the events of the pipeline
 
@@ -158,7 +158,7 @@ def run(
     """
     config = config or Config()
     source = open_source(recording, config)
-    if not has_odometry(source):
+    if reason_without_odometry(source) is not None:
         config = config.model_copy(update={"odometry": config.odometry.model_copy(update={"source": "none"})})
     slam = Slam(timed(source, config)[0], sinks, refine=refine)
     odometry: list[se2.Pose] = []

@@ -10,6 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Scan, SourceReport, mirrored, with_reversed_times
 from .frozen_odometry import FrozenOdometryDetector
@@ -137,6 +139,18 @@ class RecordingReader(ABC):
     def has_odometry(self) -> bool:
         """True if the recording contains odometry."""
         return len(self._turns.odometry) > 0
+
+    @cached_property
+    def odometry_never_moves(self) -> bool:
+        """True if odometry has one pose throughout, though the scans show that the robot moves."""
+        path = np.column_stack([self._turns.positions, self._turns.odometry[:, 1]])
+        if not len(path) or np.any(np.ptp(path, axis=0) > 0.0):
+            return False
+        frozen = FrozenOdometryDetector()
+        for message in self._survey_messages():
+            frozen.add(message)
+        frozen.finish()
+        return bool(frozen.found)
 
     @cached_property
     def delay(self) -> Delay | None:

@@ -26,10 +26,17 @@ def absolute_recording(recording: str) -> str:
     return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
 
 
-def has_odometry(source: Source) -> bool:
-    """Return True if a recording contains odometry. Raises RecordingError if it cannot be read."""
+def reason_without_odometry(source: Source) -> str | None:
+    """Return why a recording is mapped by the scans alone, as text; None if it has odometry that moves with the robot.
+
+    Raises RecordingError if it cannot be read.
+    """
     reader = recording_of(source)
-    return any(isinstance(message, Odometry) for message in source) if reader is None else reader.has_odometry
+    if not (any(isinstance(message, Odometry) for message in source) if reader is None else reader.has_odometry):
+        return "no odometry in it"
+    if reader is not None and reader.odometry_never_moves:
+        return "odometry never moves in it, though the scans change"
+    return None
 
 
 def open_source(recording: str | Path, config: Config) -> Source:

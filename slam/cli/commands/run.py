@@ -46,7 +46,7 @@ def run(
 
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
-    from ...io.recordings import absolute_recording, has_odometry, open_source
+    from ...io.recordings import absolute_recording, open_source, reason_without_odometry
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
     from ..run_setup import prepare_run, without_odometry
@@ -59,8 +59,8 @@ def run(
     source = open_source(recording, start.config)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
-    elif start.config.odometry.source != "none" and not has_odometry(source):
-        start = without_odometry(start, f"{source.name}: no odometry in it")
+    elif start.config.odometry.source != "none" and (reason := reason_without_odometry(source)) is not None:
+        start = without_odometry(start, f"{source.name}: {reason}")
     run_input = RecordingInput(source, reopen=absolute_recording(recording))
     result = run_slam(run_input, start, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
     typer.echo("\n".join(format_summary(result, out)))

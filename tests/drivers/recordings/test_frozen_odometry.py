@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+import drivers
 from drivers import Message, Odometry, Scan
 from drivers.recordings.frozen_odometry import FrozenOdometryDetector
+from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation
+from slam.io.recordings import reason_without_odometry
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +67,25 @@ def test_a_standing_robot_among_people_is_not_reported(drive: list[Message]) -> 
         messages.append(Odometry(0.1 * i, np.zeros(3)))
         messages.append(replace(view, stamp=0.1 * i, ranges=np.where(covered, 0.7, noisy)))
     assert not detect(messages).found
+
+
+@pytest.mark.parametrize(("start", "ignored"), [(0.0, True), (10.0, False)])
+def test_odometry_that_never_moves_is_ignored(
+    drive: list[Message], tmp_path: Path, start: float, ignored: bool
+) -> None:
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in freeze(drive, start, 40.0):
+            writer.write(message)
+    reason = reason_without_odometry(drivers.open(str(path)))
+    assert reason == ("odometry never moves in it, though the scans change" if ignored else None)
+
+
+def test_odometry_of_a_standing_robot_is_used(drive: list[Message], tmp_path: Path) -> None:
+    view = next(message for message in drive if isinstance(message, Scan))
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        for k in range(100):
+            writer.write(Odometry(0.1 * k, np.zeros(3)))
+            writer.write(replace(view, stamp=0.1 * k + 0.05))
+    assert reason_without_odometry(drivers.open(str(path))) is None

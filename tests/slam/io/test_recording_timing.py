@@ -20,7 +20,7 @@ from slam import Slam
 from slam.cli.run_input import RecordingInput
 from slam.config import Config, load_config
 from slam.io.recording_timing import RecordingTiming
-from slam.io.recordings import has_odometry
+from slam.io.recordings import reason_without_odometry
 
 from ...drivers.timing.drives import office_drive, with_late_scans, with_turned_lidar
 
@@ -140,7 +140,7 @@ def test_a_run_reads_a_recording_once_if_it_is_small(
 
     monkeypatch.setattr(RecordingReader, "_messages", counted)
     source = drivers.open(wrong_recording)
-    assert has_odometry(source)
+    assert reason_without_odometry(source) is None
     run_input = RecordingInput(source, reopen=str(wrong_recording))
     run_input.resolve(Config())
     assert len(ends) == 1
