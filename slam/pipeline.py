@@ -30,6 +30,7 @@ from .odometry.motion_source import MotionSource
 from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
 from .publisher import Publisher
+from .recognition.location import STATED
 from .run_end import check_run, is_unknown_place, map_alone, settle_plan, settle_trajectory
 from .run_session import RunSession
 from .run_snapshot import RunSnapshot
@@ -163,7 +164,7 @@ class Slam:
         if self._motions.predicted or not self._journal.segments.is_continued_by(first):
             self._process_queue(sum(not scan.lidar for scan in earlier.queued_scans))
             self._preprocessor.odometry = self._journal.start_odometry_segment()
-            self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True)
+            self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True, expected=STATED)
             self._localisation.handle(first.stamp, LocalisationEvent.STARTED_ANYWHERE)
 
     def _place(self, scan: ProcessedScan, pose: se2.Pose) -> None:

@@ -58,7 +58,7 @@ def settle_plan(state: SlamState, journal: Journal, publisher: Publisher) -> Non
     if state.plan is None:
         return
     stamp, before = journal.scans[-1].stamp, state.plan.recognised
-    if not state.plan.settle(state.mapper):
+    if not state.plan.settle(state.mapper, state.local_field):
         text = "never recognised in the plan: the map is in a frame of its own, and the plan is left out"
         publisher.publish(Notice(stamp, text))
     elif not before:
@@ -98,7 +98,7 @@ def _refine_or_match(
         return {}
     result.mapper.recompute_pose_covariances()
     if state.plan is not None and state.plan.recognised:
-        state.plan.settle(result.mapper)
+        state.plan.settle(result.mapper, state.local_field)
     keyframes = {k: journal.scans[row] for k, row in enumerate(history.keyframes.tolist())}
     state.replace_map(
         result.mapper, result.trajectory, PoseFix(result.poses[-1], journal.scans[-1].odometry), keyframes

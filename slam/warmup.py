@@ -46,6 +46,11 @@ from .odometry.error_model import OdometryModel
 from .pipeline import Slam
 from .preprocessing.extraction import is_compiled
 from .preprocessing.preprocessor import Preprocessor, ProcessedScan
+from .recognition.drive_scans import DriveScans
+from .recognition.evidence import compare_cells
+from .recognition.location import LOST, locate
+from .recognition.placements import Placement
+from .recognition.scanned_map import scan_map
 
 ROOM = 4.0, 3.0
 """Length and width of the simulated room, metres."""
@@ -71,7 +76,7 @@ def warm_up() -> None:
     for message in _drive():
         slam.add(message)
     mapper = slam.slam_state.mapper
-    relocalise(submap_of(mapper), index_map(mapper))
+    _recognise(slam.slam_state)
     _check_loop([(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments])
     _update_free_space()
     _search_submap()
@@ -109,7 +114,7 @@ def compile_estimation() -> None:
             scans.append(_seen_features(message, odometry))
             estimator.process(scans[-1])
     state = estimator.state
-    relocalise(submap_of(state.mapper), index_map(state.mapper))
+    _recognise(state)
     converge(state.mapper)
     history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
@@ -166,6 +171,17 @@ def _check_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
     travelled = np.array([0.0, 0.0, 2 * REFERENCE_DISTANCE, 2 * REFERENCE_DISTANCE])
     old = old_walls(landmarks, np.zeros(3), travelled, np.inf)
     occluded_share(np.zeros(3), old, landmarks, views)
+
+
+def _recognise(state: SlamState) -> None:
+    """Search for a drive in its own map, in both ways that recognise a place without a prior."""
+    mapper, rows = state.mapper, np.arange(state.mapper.keyframe_count)
+    index, points = index_map(mapper), state.local_field.points_of(rows)
+    relocalise(submap_of(mapper), index)
+    known, drive = scan_map(index, mapper.keyframe_poses, points), DriveScans().take(mapper, state.local_field, 0)
+    locate(drive, known, LOST)
+    alone = Placement(np.array([submap.pose for submap in drive.submaps]), np.zeros((len(drive.submaps), 3, 3)))
+    compare_cells(drive, known, alone)
 
 
 def _update_free_space() -> None:

@@ -24,8 +24,9 @@ CONFINED = {
 
 LAYERS = (
     "errors", "extras", "formatting", "memory", "config", "geometry", "graph", "odometry", "mapping", "matching",
-    "preprocessing", "localisation", "loop_closure", "checks", "events", "estimation", "measuring", "run_statistics",
-    "io", "run_snapshot", "run_start", "run_session", "publisher", "scan_report", "localisation_report", "run_end",
+    "preprocessing", "localisation", "loop_closure", "recognition", "checks", "events", "estimation", "measuring",
+    "run_statistics", "io", "run_snapshot", "run_start", "run_session", "publisher", "scan_report",
+    "localisation_report", "run_end",
     "pose_extrapolation", "pipeline", "optimisation", "warmup", "offline", "evaluation",
     "visualisation", "mapped_recording", "ros", "cli",
 )  # fmt: skip

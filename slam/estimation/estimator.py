@@ -19,6 +19,7 @@ from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
+from ..recognition.location import LOST, Expectation
 from .closure_monitor import ClosureMonitor
 from .earlier_part import EarlierPart
 from .loop_update import close_loop
@@ -117,13 +118,13 @@ class Estimator:
         self.state, self._frozen, self._earlier, self._monitor = trial, None, None, ClosureMonitor()
         return True
 
-    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool) -> None:
+    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool, expected: Expectation = LOST) -> None:
         """Map in a new part from now on, beginning at a pose; see `SlamState.begin_part`."""
         if self.state.frozen:
             self._frozen = self.state
             self.state = self.state.copy()
             self.state.frozen = False
-        self.state.begin_part(pose, odometry, kidnapped=kidnapped)
+        self.state.begin_part(pose, odometry, kidnapped=kidnapped, expected=expected)
         self._monitor, self._earlier = ClosureMonitor(), None
 
     def freeze(self) -> None:

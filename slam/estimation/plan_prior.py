@@ -1,9 +1,9 @@
 """Mapping with a plan: recognise the map in it, and let its walls support those of the map that agree with it.
 
-The robot maps as without a plan, in a frame of its own, until the walls seen recently are recognised in the plan at two
-places, a submap apart. Then the map is moved to the plan's frame. From then on a wall that agrees with the plan gets a
-factor with what the plan states about it; a wall that differs gets none. At the end of the run all walls are tested
-again, and factors that the finished map contradicts are removed.
+The robot maps as without a plan, in a frame of its own, until the drive is recognised in the plan. Then the map is
+moved to the plan's frame. From then on a wall that agrees with the plan gets a factor with what the plan states about
+it; a wall that differs gets none. At the end of the run all walls are tested again, and factors that the finished map
+contradicts are removed.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import CLOSING_UPDATES
 from ..loop_closure.closing import LOOP_FACTOR_SIGMAS
-from ..loop_closure.join_search import RECENT_DISTANCE
 from ..loop_closure.look import SUBMAP_LENGTH
 from ..mapping.frame_change import change_frame
 from ..mapping.map_features import MapWalls
 from ..mapping.plan_map import PlanMap
 from ..mapping.plan_walls import PlanWall, contradicts, walls_on_plan
-from .plan_recognition import PlanRecognition
+from .plan_recognition import RECENT_DISTANCE, PlacedMap, PlanRecognition
 
 if TYPE_CHECKING:
+    from ..localisation.local_field import LocalField
     from ..mapping.mapper import Mapper
 
 # Metres, metres, radians: standard deviations of the first keyframe's pose in the plan: its walls determine it.
@@ -62,7 +62,7 @@ class PlanPrior:
         other._recognition, other._supported = copy.deepcopy(self._recognition, memo), set(self._supported)
         return other
 
-    def update(self, mapper: Mapper) -> bool:
+    def update(self, mapper: Mapper, local_field: LocalField) -> bool:
         """Update the map after the graph was solved and read back.
 
         Return True if it was recognised in the plan: moved to its frame, or corrected after a drift.
@@ -74,16 +74,16 @@ class PlanPrior:
             if mapper.travelled[-1] - mapper.travelled[self._anchored] < SUBMAP_LENGTH:
                 self._recognition.discard_found()
                 return False
-        found = self._recognition.search(mapper, self._anchored if self.recognised else None)
+        found = self._recognition.search(mapper, local_field, self._anchored if self.recognised else None)
         if found is None:
             return False
-        return self._correct(mapper, found[0]) if self.recognised else self._move_to_plan(mapper, *found)
+        return self._correct(mapper, found.motion) if self.recognised else self._move_to_plan(mapper, found)
 
-    def settle(self, mapper: Mapper) -> bool:
+    def settle(self, mapper: Mapper, local_field: LocalField) -> bool:
         """Test all walls of a finished map, which has converged; return False if it is not recognised in the plan."""
         if not self.recognised:
-            found = self._recognition.find(mapper, np.ones(mapper.keyframe_count, dtype=bool))
-            if found is None or not self._move_to_plan(mapper, *found):
+            found = self._recognition.find(mapper, local_field)
+            if found is None or not self._move_to_plan(mapper, found):
                 return False
         graph, refuted = mapper.graph, set[int]()
         refined = not graph.plan_walls()
@@ -111,7 +111,7 @@ class PlanPrior:
         self._supported = set(graph.plan_walls())
         if refined and len(self._supported) >= MIN_AGREEING_WALLS:  # its first keyframe is still fixed
             change_frame(mapper, np.zeros(3), FIRST_POSE_IN_PLAN)
-            return self.settle(mapper)
+            return self.settle(mapper, local_field)
         return True
 
     @property
@@ -119,32 +119,30 @@ class PlanPrior:
         """Walls of the plan."""
         return self.plan_map.walls
 
-    def _move_to_plan(self, mapper: Mapper, motion: se2.Pose, covariance: Floats) -> bool:
-        """Move the map into the plan, and let the plan support the walls around the robot that agree with it.
-
-        covariance  (3, 3) of the robot's pose in the plan, in the plan's axes
+    def _move_to_plan(self, mapper: Mapper, found: PlacedMap) -> bool:
+        """Move the map into the plan, and let the plan support the walls around its place that agree with it.
 
         Returns False, and changes nothing, if too few walls agree.
         """
-        last, walls = mapper.keyframe_count - 1, self._recent(mapper)
-        relative = mapper.graph.relative_covariances([last], walls.tolist(), []).walls
-        frames = se2.compose(motion, mapper.graph.wall_frames(walls.tolist())).reshape(-1, 3)
-        lever = frames[:, :2] - se2.compose(motion, mapper.pose)[:2]
+        last, walls = mapper.keyframe_count - 1, self._recent(mapper, found.keyframe)
+        relative = mapper.graph.relative_covariances([found.keyframe], walls.tolist(), []).walls
+        frames = se2.compose(found.motion, mapper.graph.wall_frames(walls.tolist())).reshape(-1, 3)
+        lever = frames[:, :2] - se2.compose(found.motion, mapper.keyframe_poses[found.keyframe])[:2]
         c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
         jacobian = np.zeros((len(walls), 2, 3))
         jacobian[:, 0] = np.column_stack([-s, c, c * lever[:, 0] + s * lever[:, 1]])
         jacobian[:, 1, 2] = 1.0
-        covariances = relative + jacobian @ covariance @ jacobian.transpose(0, 2, 1)
+        covariances = relative + jacobian @ found.covariance @ jacobian.transpose(0, 2, 1)
         agreeing = walls_on_plan(walls, frames, _extents(mapper, walls), covariances, self._walls)
         if len(agreeing) < MIN_AGREEING_WALLS:
             return False
-        change_frame(mapper, motion, FIRST_POSE_IN_PLAN)
+        change_frame(mapper, found.motion, FIRST_POSE_IN_PLAN)
         self._support(mapper, agreeing)
         mapper.graph.update()
         mapper.graph.update_until_converged()
         mapper.read_back_all()
         mapper.equalise_covariances()
-        self.recognised, self._anchored, self._observed = True, last, last
+        self.recognised, self._anchored, self._observed = True, found.keyframe, last
         return True
 
     def _correct(self, mapper: Mapper, motion: se2.Pose) -> bool:
@@ -157,7 +155,7 @@ class PlanPrior:
         temporary = graph.update()
         graph.update_until_converged(CLOSING_UPDATES)
         mapper.read_back_all()
-        walls = self._recent(mapper)
+        walls = self._recent(mapper, last)
         walls = walls[~self._are_supported(walls)]
         frames, covariances = graph.wall_frames(walls.tolist()), _covariances(mapper, walls)
         self._support(mapper, walls_on_plan(walls, frames, _extents(mapper, walls), covariances, self._walls))
@@ -202,11 +200,11 @@ class PlanPrior:
         """Return (n,) which walls the plan supports."""
         return np.array([wall in self._supported for wall in walls.tolist()], dtype=bool)
 
-    def _recent(self, mapper: Mapper) -> Integers:
-        """Return the walls that can be compared with the plan and were seen recently."""
+    def _recent(self, mapper: Mapper, keyframe: int) -> Integers:
+        """Return the walls that can be compared with the plan and were seen shortly before a keyframe, or later."""
         travelled, walls = np.asarray(mapper.travelled), self._candidates(mapper)
         seen = travelled[mapper.landmarks.walls.rows["last_seen"][walls]]
-        return np.asarray(walls[seen > travelled[-1] - RECENT_DISTANCE])
+        return np.asarray(walls[seen > travelled[keyframe] - RECENT_DISTANCE])
 
     @staticmethod
     def _candidates(mapper: Mapper) -> Integers:

@@ -8,7 +8,7 @@ from .slam_state import SlamState
 
 def update_by_plan(state: SlamState, observations: KeyframeObservations) -> bool:
     """Use the plan right after the keyframe of `observations`; return True if the map was moved to its frame."""
-    if state.plan is None or not state.plan.update(state.mapper):
+    if state.plan is None or not state.plan.update(state.mapper, state.local_field):
         return False
     state.loops.clear()
     state.joins.clear()

@@ -21,7 +21,6 @@ from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import Tracker
 from ..localisation.tracking import PoseFix, TrackerState, TrackingResult
 from ..loop_closure.agreement import LoopAgreement
-from ..loop_closure.join_search import JoinSearch
 from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.convergence import converge
 from ..mapping.local_map import LOCAL_MAP_MARGIN, empty_local_map
@@ -31,6 +30,8 @@ from ..matching.bias_correction import correct_range_bias
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.predicted_motion import motion_model
 from ..preprocessing.preprocessor import ProcessedScan
+from ..recognition.join_search import JoinSearch
+from ..recognition.location import LOST, Expectation
 from .plan_prior import PlanPrior
 
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
@@ -253,11 +254,12 @@ class SlamState:
         nearest, pose = _relative_to_nearest(old_poses, joined.pose)
         self.move_to(se2.compose(self.mapper.keyframe_poses[nearest], pose), odometry)
 
-    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool) -> None:
+    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool, expected: Expectation = LOST) -> None:
         """Continue at a pose in a new part of the map, as the place in the map is not known.
 
         odometry   pose of odometry at the same time
         kidnapped  true if the robot may have been moved without odometry noticing
+        expected   what is known before about the place
         """
         self.kidnapped = self.kidnapped or kidnapped
         self.mapper.begin_part(measured=not self.kidnapped)
@@ -267,7 +269,7 @@ class SlamState:
         self.local_map = empty_local_map()
         self.local_field.begin_part()
         self.loops.clear()
-        self.joins = JoinSearch()
+        self.joins = JoinSearch(expected)
 
     @property
     def at_part_begin(self) -> bool:

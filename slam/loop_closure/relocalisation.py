@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..formatting import percent
-from ..geometry.segments import Floats, Integers, Segments
+from ..geometry.segments import Floats, Segments
 from ..mapping.mapper import Mapper
 from .map_descriptor import MapDescriptor, describe_map, express_in_frame
 from .submap_alignment import Alignment, align_submap, sample_walls
@@ -125,14 +125,12 @@ class Relocalisation:
     covariance  (3, 3) of the pose, in the map's axes
     motion      [x, y, heading] of the submap's frame in the map
     rivals      the same for each alternative that comes too near the best pose
-    pairs       (n, 2) landmark ids of matched walls: in the map, in the submap
     """
 
     pose: se2.Pose
     covariance: Floats
     motion: se2.Pose
     rivals: Sequence[se2.Pose]
-    pairs: Integers
     verdict: PlaceVerdict
 
 
@@ -175,7 +173,6 @@ def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
     distinct = _are_distinct(best.alignment.pose, np.array([candidate.alignment.pose for candidate in candidates]))
     alternatives = [candidate for candidate, other in zip(candidates, distinct, strict=True) if other]
     covariance = np.asarray(np.linalg.inv(best.alignment.information))
-    matched = np.flatnonzero(best.alignment.matches >= 0)
     near = [other for other in alternatives if not all(passed for passed, _ in _check_alternatives(best, [other]))]
     to_submap = se2.inverse(submap.pose)
     return Relocalisation(
@@ -183,18 +180,17 @@ def relocalise(submap: Submap, index: MapIndex) -> Relocalisation | None:
         covariance=covariance,
         motion=se2.compose(best.alignment.pose, to_submap),
         rivals=[se2.compose(other.alignment.pose, to_submap) for other in near],
-        pairs=np.column_stack([index.descriptor.walls[best.alignment.matches[matched]], observed.walls[matched]]),
         verdict=_decide(best, alternatives, covariance),
     )
 
 
-def align_candidates(observed: MapDescriptor, index: MapIndex) -> list[Alignment]:
-    """Return the distinct alignments of a submap with a map for which most votes were cast, most wall length first."""
+def align_candidates(observed: MapDescriptor, index: MapIndex, count: int = MAX_CANDIDATES) -> list[Alignment]:
+    """Return `count` distinct alignments of a submap with a map that have most votes, most wall length first."""
     if len(observed) < MIN_WALLS or len(index.descriptor) < MIN_WALLS:
         return []
     samples = sample_walls(observed)
     starts = vote_for_poses(observed, index.descriptor, index.pairs, MAX_ALIGNED_POSES)
-    return _select_distinct([align_submap(start, observed, samples, index.descriptor) for start in starts])
+    return _select_distinct([align_submap(start, observed, samples, index.descriptor) for start in starts], count)
 
 
 def _find_candidates(
@@ -209,11 +205,11 @@ def _find_candidates(
     return sorted(candidates, key=lambda candidate: -candidate.score)
 
 
-def _select_distinct(aligned: Sequence[Alignment]) -> list[Alignment]:
-    """Return the alignments with most wall length, one for each distinct pose."""
+def _select_distinct(aligned: Sequence[Alignment], count: int) -> list[Alignment]:
+    """Return `count` alignments with most wall length, one for each distinct pose."""
     remaining = sorted(aligned, key=lambda alignment: -alignment.length)
     selected: list[Alignment] = []
-    while remaining and len(selected) < MAX_CANDIDATES:
+    while remaining and len(selected) < count:
         selected.append(remaining[0])
         distinct = _are_distinct(remaining[0].pose, np.array([alignment.pose for alignment in remaining]))
         remaining = [alignment for alignment, other in zip(remaining, distinct, strict=True) if other]

@@ -18,10 +18,13 @@ from drivers.messages import Message, Odometry, Scan
 
 from ...config import Config
 from ...errors import MapError
+from ...estimation.slam_state import SlamState
 from ...geometry.segments import Floats
-from ...loop_closure.relocalisation import MapIndex, index_map, relocalise, submap_of
-from ...mapping.mapper import Mapper
+from ...loop_closure.relocalisation import index_map
 from ...pipeline import Slam
+from ...recognition.drive_scans import DriveScans
+from ...recognition.location import LOST, locate
+from ...recognition.scanned_map import ScannedMap, scan_map
 
 SUBMAP_LENGTHS = 2.0, 4.0, 6.0  # metres travelled while a submap is built
 MAX_ERROR, MAX_ANGLE_ERROR = 0.5, np.radians(10.0)  # metres, radians; an accepted pose with a larger error is wrong
@@ -34,14 +37,14 @@ ODOMETRY_MARGIN = 0.5  # seconds of odometry after a submap's last scan, to cove
 class SplitRecording:
     """A recording split in two halves.
 
-    index                     map of the first half
+    known                     map of the first half
     keyframes                 (k, 3) keyframe poses in the map of the first half
     keyframes_in_full_map     (k, 3) the same keyframes in the map of the whole recording
     stamps, path              (m,), (m, 3) path of the whole recording
     second_half               messages
     """
 
-    index: MapIndex
+    known: ScannedMap
     keyframes: Floats
     keyframes_in_full_map: Floats
     stamps: Floats
@@ -97,7 +100,7 @@ def split_recording(messages: Sequence[Message], config: Config) -> SplitRecordi
     whole = _run_slam(messages, config).finish()
     at = np.searchsorted(whole.stamps, half.keyframe_stamps).clip(0, len(whole.stamps) - 1)
     return SplitRecording(
-        index=index_map(slam.slam_state.mapper),
+        known=_scan(slam.slam_state),
         keyframes=half.keyframes,
         keyframes_in_full_map=whole.poses[at],
         stamps=whole.stamps,
@@ -115,11 +118,11 @@ def split_halves(messages: Sequence[Message]) -> tuple[list[Message], list[Messa
     return first, [message for message in messages if message.stamp >= middle]
 
 
-def index_of(messages: Sequence[Message], config: Config) -> MapIndex:
+def known_map_of(messages: Sequence[Message], config: Config) -> ScannedMap:
     """Map messages and return the map prepared for relocalisation."""
     slam = _run_slam(messages, config)
     slam.finish()
-    return index_map(slam.slam_state.mapper)
+    return _scan(slam.slam_state)
 
 
 def run_queries(
@@ -128,7 +131,7 @@ def run_queries(
     count: int,
     config: Config,
     *,
-    elsewhere: MapIndex | None = None,
+    elsewhere: ScannedMap | None = None,
     seed: int = 0,
 ) -> list[RelocalisationQuery]:
     """Search for `count` random submaps of the second half in the map of the first half.
@@ -137,17 +140,17 @@ def run_queries(
     elsewhere      map of another building to search instead, where any accepted pose is wrong
     """
     queries = []
-    for stamp, mapper in _submaps(split.second_half, submap_length, count, config, seed):
-        submap = submap_of(mapper)
+    for stamp, state in _submaps(split.second_half, submap_length, count, config, seed):
+        drive = DriveScans().take(state.mapper, state.local_field, 0)
         start = time.perf_counter()
-        found = relocalise(submap, split.index if elsewhere is None else elsewhere)
+        location = locate(drive, split.known if elsewhere is None else elsewhere, LOST)
         seconds = time.perf_counter() - start
-        accepted = found is not None and found.verdict.accepted
+        accepted = location.accepted
         distance, error = np.nan, np.full(3, np.nan)
         if elsewhere is None:
             pose, distance = _reference_pose(split, stamp)
-            if accepted and found is not None:
-                error = se2.between(pose, found.pose)
+            if accepted:
+                error = se2.between(pose, se2.compose(location.members[-1].motion, state.mapper.pose))
         queries.append(
             RelocalisationQuery(distance, seconds, accepted, float(np.hypot(*error[:2])), float(abs(error[2])))
         )
@@ -181,8 +184,8 @@ def _reference_pose(split: SplitRecording, stamp: float) -> tuple[se2.Pose, floa
 
 def _submaps(
     messages: Sequence[Message], submap_length: float, count: int, config: Config, seed: int
-) -> Iterable[tuple[float, Mapper]]:
-    """Yield the stamp of the last keyframe and the map of the last metres before each of several random scans."""
+) -> Iterable[tuple[float, SlamState]]:
+    """Yield the stamp of the last keyframe and the state after the last metres before each of several random scans."""
     odometry = [message for message in messages if isinstance(message, Odometry)]
     if not odometry:
         return
@@ -203,7 +206,14 @@ def _submaps(
                 slam.add(message)
         slam_state = slam.slam_state
         if slam_state.mapper.keyframe_count:
-            yield slam_state.keyframe_stamps[-1], slam_state.mapper
+            slam_state.mapper.solve_waiting()
+            yield slam_state.keyframe_stamps[-1], slam_state
+
+
+def _scan(state: SlamState) -> ScannedMap:
+    """Prepare the map of a state to search in."""
+    points = state.local_field.points_of(np.arange(state.mapper.keyframe_count))
+    return scan_map(index_map(state.mapper), state.mapper.keyframe_poses, points)
 
 
 def _run_slam(messages: Iterable[Message], config: Config) -> Slam:

@@ -16,8 +16,9 @@ from ...io.sessions import StoredSession
 from ...io.wall_maps import wall_map_of
 from ...mapping.wall_removal import MIN_STEP
 from ...measuring.wall_map import WallMap
-from ..map_merging.scanned_map import scan_map
-from ..map_merging.session_location import locate_session
+from ...recognition.location import OVERLAP
+from ...recognition.location import locate as locate_drive
+from ..map_merging.session_scans import drive_of, map_of
 from ..wall_alignment import MIN_COMMON, align_maps
 
 
@@ -67,7 +68,7 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     recognised there, or if the maps have too few walls in common.
     """
     if guess is None:
-        location = locate_session(scan_map(new.session), scan_map(old.session))
+        location = locate_drive(drive_of(new.session), map_of(old.session), OVERLAP)
         if not location.accepted:
             reason = f"the new one is not recognised: {location.reason}; --at states its rough pose"
             raise MapError(f"the maps cannot be aligned: {reason}")

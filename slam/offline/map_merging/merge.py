@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from ...errors import MapError
 from ...io.sessions import StoredSession
 from ...mapping.convergence import converge
+from ...recognition.location import OVERLAP, Location, locate
 from .pairwise_merge import merge_pair
-from .scanned_map import scan_map
-from .session_location import SessionLocation, locate_session
+from .session_scans import drive_of, map_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +22,7 @@ class MergedSession:
     """
 
     session: StoredSession
-    added: Sequence[tuple[str, SessionLocation]]
+    added: Sequence[tuple[str, Location]]
 
 
 def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSession:
@@ -38,11 +38,11 @@ def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSessi
             raise MapError(f"{name}: has no keyframe, so it cannot be merged")
         converge(session.slam_state.mapper)
     (_, merged), *remaining = sessions
-    added: list[tuple[str, SessionLocation]] = []
-    scanned = {name: scan_map(session) for name, session in remaining}
+    added: list[tuple[str, Location]] = []
+    scanned = {name: drive_of(session) for name, session in remaining}
     while remaining:
-        old = scan_map(merged)
-        locations = [locate_session(scanned[name], old) for name, _ in remaining]
+        old = map_of(merged)
+        locations = [locate(scanned[name], old, OVERLAP) for name, _ in remaining]
         best = max(range(len(remaining)), key=lambda k: (locations[k].accepted, locations[k].evidence))
         (name, session), location = remaining.pop(best), locations[best]
         if not location.accepted:

@@ -23,7 +23,7 @@ from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.convergence import converge
 from ...mapping.mapper import Mapper
 from ...odometry.error_model import OdometryModel
-from .session_location import PlacedSubmap
+from ...recognition.location import PlacedSubmap
 from .transfer import (
     IndexOffsets,
     clock_shift,

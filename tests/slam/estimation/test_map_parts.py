@@ -10,7 +10,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
-from drivers.simulation import LidarModel, Simulation
+from drivers.simulation import LidarModel, Simulation, World
 from slam import Finished, Slam
 from slam.config import Config, config_to_toml
 from slam.estimation.estimator import Estimator
@@ -28,6 +28,10 @@ LOST_AT, DURATION = 10.0, 60.0  # seconds of a drive through a room
 ROBOT = LidarModel(beams=240, rate=4.0)
 
 
+BARE_WALLS = np.array([[0.0, 0.0, 8.0, 0.0], [8.0, 0.0, 8.0, 6.0], [8.0, 6.0, 0.0, 6.0], [0.0, 6.0, 0.0, 0.0]])
+BARE_PATH = np.array([[1.2, 1.2], [6.8, 1.2], [6.8, 4.8], [1.2, 4.8], [1.2, 1.2]])
+
+
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
     return list(Simulation("room", seed=1, duration=DURATION, lidar=ROBOT))
@@ -35,6 +39,17 @@ def drive() -> list[Message]:
 
 @pytest.fixture(scope="module")
 def scans(drive: list[Message]) -> list[ProcessedScan]:
+    return process(drive)
+
+
+@pytest.fixture(scope="module")
+def bare_scans() -> list[ProcessedScan]:
+    """Drive through a bare room, which looks the same from the opposite side."""
+    bare = World("bare", "a bare room", BARE_WALLS, np.zeros((0, 3)), BARE_PATH, 0.7)
+    return process(list(Simulation(bare, seed=1, duration=DURATION, lidar=ROBOT)))
+
+
+def process(drive: list[Message]) -> list[ProcessedScan]:
     preprocessor, processed = Preprocessor(Config()), []
     for message in drive:
         if isinstance(message, GroundTruth):
@@ -83,11 +98,21 @@ def test_a_lost_robot_maps_on_and_is_joined_where_odometry_has_it(
     assert len(estimator.state.trajectory) == len(scans)
 
 
-def test_a_robot_that_was_carried_is_not_joined_at_an_ambiguous_place(scans: list[ProcessedScan]) -> None:
-    scans = scans[: len(scans) // 2]
+def test_a_robot_that_was_carried_is_not_joined_at_an_ambiguous_place(bare_scans: list[ProcessedScan]) -> None:
+    scans = bare_scans[: len(bare_scans) // 2]
     estimator, joined = lose(scans, np.zeros(3), kidnapped=True)
     assert not joined
     assert len(estimator.state.trajectory) == len(scans)
+
+
+def test_a_robot_that_was_carried_is_joined_by_what_distinguishes_the_place(
+    scans: list[ProcessedScan], drive: list[Message]
+) -> None:
+    """Some furniture tells the room from the room turned by 180 degrees, wherever odometry has put the robot."""
+    estimator, joined = lose(scans[: len(scans) // 2], np.array([3.0, -2.0, 1.0]), kidnapped=True)
+    assert joined == estimator.state.mapper.landmarks.parts.firsts[1:]
+    assert len(joined) == 1
+    assert position_errors(estimator, drive).max() < 0.03
 
 
 def test_a_place_that_odometry_excludes_is_not_joined(scans: list[ProcessedScan]) -> None:
@@ -111,11 +136,11 @@ def test_the_covariance_between_parts_is_that_of_odometry(scans: list[ProcessedS
         converge(mapper)
 
 
-def test_kept_covariances_between_parts_stay_right(scans: list[ProcessedScan]) -> None:
+def test_kept_covariances_between_parts_stay_right(bare_scans: list[ProcessedScan]) -> None:
     """Those of the part that is not mapped now are computed once, although the graph changes with each keyframe."""
-    estimator, _ = lose(scans[: len(scans) // 2], np.zeros(3), kidnapped=True)
+    estimator, _ = lose(bare_scans[: len(bare_scans) // 2], np.zeros(3), kidnapped=True)
     mapper, (_, first) = estimator.state.mapper, estimator.state.mapper.landmarks.parts.firsts
-    for scan in scans[len(scans) // 2 :][:40]:
+    for scan in bare_scans[len(bare_scans) // 2 :][:40]:
         for old in (0, first // 2, first - 1):
             last = mapper.keyframe_count - 1
             kept = mapper.covariances.relative(old, last)
@@ -125,12 +150,12 @@ def test_kept_covariances_between_parts_stay_right(scans: list[ProcessedScan]) -
     assert mapper.keyframe_count - first > 10
 
 
-def test_a_robot_that_is_lost_again_maps_another_part(scans: list[ProcessedScan]) -> None:
+def test_a_robot_that_is_lost_again_maps_another_part(bare_scans: list[ProcessedScan]) -> None:
     """The covariance between the first and the last part contains odometry's motions to both later ones."""
-    estimator, _ = lose(scans[: len(scans) // 2], np.zeros(3), kidnapped=True)
-    scan = scans[len(scans) // 2]
+    estimator, _ = lose(bare_scans[: len(bare_scans) // 2], np.zeros(3), kidnapped=True)
+    scan = bare_scans[len(bare_scans) // 2]
     estimator.begin_part(estimator.state.predict(scan.odometry), scan.odometry, kidnapped=False)
-    for scan in scans[len(scans) // 2 :][:20]:
+    for scan in bare_scans[len(bare_scans) // 2 :][:20]:
         estimator.process(scan)
     mapper, (_, second, third) = estimator.state.mapper, estimator.state.mapper.landmarks.parts.firsts
     assert np.sqrt(mapper.covariances.relative(second, third)[0, 0]) < 0.5

@@ -78,7 +78,7 @@ def test_room_is_found_among_others(k: int) -> None:
     assert found.verdict.accepted, found.verdict.reason
     np.testing.assert_allclose(se2.between(INSIDE[k], found.pose), 0.0, atol=1e-3)
     np.testing.assert_allclose(se2.compose(found.motion, own), found.pose, atol=1e-9)
-    assert sorted(map(tuple, found.pairs)) == [(6 * k + wall, wall) for wall in range(6)]
+    assert found.verdict.matches == 6
     assert (np.linalg.eigvalsh(found.covariance) > 0.0).all()
 
 

@@ -29,12 +29,11 @@ from slam.io.output_dir import CONFIG, RESULTS
 from slam.io.sessions import Recording, StoredSession, read_session, write_session
 from slam.io.tum import Trajectory, read_tum
 from slam.mapping.convergence import converge
-from slam.offline.map_merging import SessionLocation, merge_sessions
-from slam.offline.map_merging.evidence import CellFits, chance_of_fit, evidence_of
-from slam.offline.map_merging.scanned_map import ScannedMap, scan_map
-from slam.offline.map_merging.session_location import ERROR_PROBABILITY, PlacedSubmap, locate_session
+from slam.offline.map_merging import merge_sessions
+from slam.offline.map_merging.session_scans import drive_of, map_of
 from slam.offline.map_merging.transfer import clock_shift, shift_clock
 from slam.optimisation import optimise
+from slam.recognition.location import OVERLAP, Expectation, Location, PlacedSubmap, locate
 
 from ...recordings import recording_file
 
@@ -164,7 +163,7 @@ def test_session_without_keyframes_is_refused(sessions: dict[str, Path]) -> None
 
 # Order
 
-PLACED = PlacedSubmap(range(2), np.zeros(3), np.eye(3), np.zeros(3), np.zeros((0, 2), dtype=np.int64))
+PLACED = PlacedSubmap(range(2), np.zeros(3), np.eye(3), np.zeros(3), np.zeros((0, 2), dtype=np.int64), 1.0, 1.0)
 
 
 @dataclass
@@ -183,13 +182,14 @@ class FakeSession:
 def fake_sessions(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     module = import_module("slam.offline.map_merging.merge")
 
-    def locate(new: FakeSession, old: FakeSession) -> SessionLocation:
+    def locate(new: FakeSession, old: FakeSession, _: Expectation) -> Location:
         shared = len(new.rooms & old.rooms)
-        return SessionLocation(9, [PLACED] * shared, 20.0 * shared, 15.0, f"they share {shared} rooms")
+        return Location(9, [PLACED] * shared, 20.0 * shared, 15.0, 20.0 * shared, f"they share {shared} rooms")
 
     monkeypatch.setattr(module, "converge", lambda mapper: 0)
-    monkeypatch.setattr(module, "scan_map", lambda session: session)
-    monkeypatch.setattr(module, "locate_session", locate)
+    monkeypatch.setattr(module, "map_of", lambda session: session)
+    monkeypatch.setattr(module, "drive_of", lambda session: session)
+    monkeypatch.setattr(module, "locate", locate)
     monkeypatch.setattr(module, "merge_pair", lambda merged, session, _: FakeSession(merged.rooms | session.rooms))
     rooms = {"east": {1, 2}, "west": {4, 5}, "middle": {2, 3, 4}, "elsewhere": {9}}
     return {name: FakeSession(frozenset(some)) for name, some in rooms.items()}
@@ -218,20 +218,20 @@ LOOKALIKE = {
 in seconds from and up to which each is used."""
 
 
-def scanned(name: str, directory: Path) -> tuple[ScannedMap, Floats]:
-    """Return the scanned map of a drive, and the pose of its frame in the world."""
+def scanned(name: str, directory: Path) -> tuple[StoredSession, Floats]:
+    """Return the session of a drive, and the pose of its frame in the world."""
     spec, start, stop = LOOKALIKE[name]
     messages = [message for message in drivers.open(spec) if start <= message.stamp <= stop]
     session = read_session(mapped(messages, name, directory / name))
     converge(session.slam_state.mapper)
-    return scan_map(session), next(message.pose for message in messages if isinstance(message, GroundTruth))
+    return session, next(message.pose for message in messages if isinstance(message, GroundTruth))
 
 
 def test_corridor_is_recognised_although_each_of_its_places_looks_like_others(tmp_path: Path) -> None:
     (old, start), (new, turned) = scanned("there", tmp_path), scanned("back", tmp_path)
     for location, motion in (
-        (locate_session(new, old), se2.between(start, turned)),
-        (locate_session(old, new), se2.between(turned, start)),
+        (locate(drive_of(new), map_of(old), OVERLAP), se2.between(start, turned)),
+        (locate(drive_of(old), map_of(new), OVERLAP), se2.between(turned, start)),
     ):
         assert location.accepted, location.reason
         assert "fit in one place only" in location.reason
@@ -242,53 +242,10 @@ def test_corridor_is_recognised_although_each_of_its_places_looks_like_others(tm
 
 def test_building_with_four_equal_sides_is_refused_and_its_places_are_named(tmp_path: Path) -> None:
     (old, _), (new, _) = scanned("one side", tmp_path), scanned("another side", tmp_path)
-    location = locate_session(new, old)
+    location = locate(drive_of(new), map_of(old), OVERLAP)
     assert not location.accepted
     assert location.reason.startswith("it fits in several places, x ")
     assert location.reason.count("degrees") >= 2
-
-
-# Evidence
-
-
-def fits_of(shares: Sequence[float], known: Sequence[bool] | None = None) -> CellFits:
-    return CellFits(np.array(shares), np.ones(len(shares), dtype=bool) if known is None else np.array(known))
-
-
-def test_cells_that_fit_everywhere_are_no_evidence() -> None:
-    alike = chance_of_fit([fits_of([1.0] * 40)] * 50)
-    assert evidence_of(fits_of([1.0] * 40), alike) < 0.5
-    distinctive = chance_of_fit([fits_of([0.0] * 40)] * 50)
-    assert evidence_of(fits_of([1.0] * 40), distinctive) > 100.0
-
-
-def test_cells_in_unseen_space_are_no_evidence() -> None:
-    chance = np.full(30, 0.4)
-    seen = evidence_of(fits_of([1.0] * 20), chance[:20])
-    assert evidence_of(fits_of([1.0] * 20 + [0.0] * 10, [True] * 20 + [False] * 10), chance) == pytest.approx(seen)
-
-
-def test_each_cell_that_misfits_lowers_the_evidence() -> None:
-    values = [evidence_of(fits_of([1.0] * (30 - k) + [0.0] * k), np.full(30, 0.4)) for k in range(30)]
-    assert (np.diff(values) <= 1e-9).all()
-    assert values[0] > 10.0
-    assert values[-1] < 0.0
-
-
-def test_a_place_that_only_looks_alike_rarely_has_much_evidence() -> None:
-    """By Markov's inequality, a likelihood ratio of 1 / p occurs with a probability of at most p."""
-    random = np.random.default_rng(1)
-    chance = random.uniform(0.2, 0.9, 60)
-    exceeded = 0
-    for _ in range(2000):
-        fit = (random.uniform(size=60) < chance).astype(float)
-        exceeded += evidence_of(fits_of(fit.tolist()), chance) > -np.log(ERROR_PROBABILITY)
-    assert exceeded <= 2000 * ERROR_PROBABILITY
-
-
-def test_chance_of_a_cell_is_the_share_of_the_places_where_it_fits() -> None:
-    others = [fits_of([1.0, 0.0, 1.0], [True, True, False]), fits_of([1.0, 1.0, 1.0], [True, True, False])]
-    np.testing.assert_allclose(chance_of_fit(others), [3 / 4, 2 / 4, 1 / 2])
 
 
 def test_later_session_keeps_its_clock(sessions: dict[str, Path]) -> None:

@@ -33,7 +33,7 @@ def bench_relocalisation(
     from ....config import Config
     from ....evaluation.benchmarks.relocalisation import (
         SUBMAP_LENGTHS,
-        index_of,
+        known_map_of,
         run_queries,
         split_halves,
         split_recording,
@@ -42,7 +42,7 @@ def bench_relocalisation(
 
     config = Config()
     messages = list(drivers.open(recording))
-    other = None if elsewhere is None else index_of(split_halves(list(drivers.open(elsewhere)))[0], config)
+    other = None if elsewhere is None else known_map_of(split_halves(list(drivers.open(elsewhere)))[0], config)
     split = split_recording(messages, config)
     typer.echo("metres  places  accepted  right  precision  known  found  recall  median s  95 % s")
     for length in SUBMAP_LENGTHS:

@@ -14,17 +14,19 @@ import numpy as np
 
 from drivers import se2
 
-from ...geometry.segments import Floats, Integers
-from ...loop_closure.relocalisation import align_candidates
-from ...loop_closure.submap_alignment import align_submap, sample_walls
-from ...loop_closure.submap_search import are_distinct
-from ...matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
-from .scanned_map import ScannedMap
+from ..geometry.segments import Floats, Integers
+from ..loop_closure.relocalisation import align_candidates
+from ..loop_closure.submap_alignment import align_submap, sample_walls
+from ..loop_closure.submap_search import are_distinct
+from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
+from .scanned_map import ScannedDrive, ScannedMap
 
+# Placements that are compared, those first in which a submap has most wall length on walls of the other map.
+# Origin: chosen, for speed; not measured.
 MAX_PLACEMENTS = 64
-"""Placements that are compared, those first in which a submap has most wall length on walls of the other map."""
+# Metres, metres, radians: standard deviations of a candidate from walls, the last gates of `submap_alignment`.
+# Origin: definition.
 ALIGNMENT_SIGMAS = np.array([0.2, 0.2, 0.05])
-"""Metres, metres, radians: standard deviations of a candidate from walls, the last gates of `submap_alignment`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +46,7 @@ class Placement:
         return [submap for submap, (pose, rival) in pairs if are_distinct(pose, rival)]
 
 
-def find_placements(new: ScannedMap, old: ScannedMap) -> list[Placement]:
+def find_placements(new: ScannedDrive, old: ScannedMap) -> list[Placement]:
     """Return the different placements of a map in another one that walls of its submaps suggest."""
     placements: list[Placement] = []
     for submap, pose in _candidates(new, old):
@@ -58,18 +60,18 @@ def find_placements(new: ScannedMap, old: ScannedMap) -> list[Placement]:
     return placements
 
 
-def _candidates(new: ScannedMap, old: ScannedMap) -> Iterator[tuple[int, se2.Pose]]:
+def _candidates(new: ScannedDrive, old: ScannedMap) -> Iterator[tuple[int, se2.Pose]]:
     """Yield submaps with their poses in the other map at which walls coincide, most wall length first."""
     found = [
         (alignment.length, row, alignment.pose)
         for row, submap in enumerate(new.submaps)
-        for alignment in align_candidates(submap.descriptor, old.index)
+        for alignment in align_candidates(submap.scan.descriptor, old.index, MAX_PLACEMENTS)
     ]
     for _, row, pose in sorted(found, key=lambda candidate: -candidate[0]):
         yield row, pose
 
 
-def _refine(new: ScannedMap, old: ScannedMap, first: int, pose: se2.Pose) -> Placement:
+def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> Placement:
     """Return the placement of all submaps if the `first` one is at `pose`: the best predicted one next."""
     count = len(new.submaps)
     poses, informations = np.zeros((count, 3)), np.zeros((count, 3, 3))
@@ -102,9 +104,9 @@ def _size(covariance: Floats) -> float:
     return float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
 
 
-def matched_walls(new: ScannedMap, old: ScannedMap, submap: int, pose: se2.Pose) -> Integers:
+def matched_walls(new: ScannedDrive, old: ScannedMap, submap: int, pose: se2.Pose) -> Integers:
     """Return the landmark ids (n, 2) of walls, of the old and of the new map, that coincide with a submap at `pose`."""
-    descriptor = new.submaps[submap].descriptor
+    descriptor = new.submaps[submap].scan.descriptor
     alignment = align_submap(pose, descriptor, sample_walls(descriptor), old.index.descriptor)
     if are_distinct(alignment.pose, pose):
         return np.zeros((0, 2), dtype=np.int64)

@@ -1,0 +1,245 @@
+"""A known map with the points of its scans, and a drive in submaps that is searched for in it.
+
+Points are grouped by square cells. A cell is the unit of evidence: its points lie on one object or on one stretch of
+wall, and fit another map together or not at all.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers import se2
+from drivers.compiled import compiled
+
+from ..geometry.segments import Floats, Integers
+from ..loop_closure.map_descriptor import MapDescriptor
+from ..loop_closure.relocalisation import MapIndex
+from ..loop_closure.submap_search import DISTORTION_SIGMAS, build_submap
+from ..mapping.mapper import Mapper
+from ..matching.distance_field import DistanceField
+from ..matching.free_space import SEEN_CELL
+from ..matching.point_costs import points_cost
+
+# Metres, side of a cell: the width of a door, or of a piece of furniture. Origin: chosen, with 2 m the walls of a
+# single room are too few cells to decide by.
+EVIDENCE_CELL = 1.0
+# Metres between points that are kept of each surface, so that evidence does not depend on how often it was seen.
+# Origin: chosen, two cells of a distance field; not measured.
+THINNED_SPACING = 0.1
+# Metres from the outermost point to the border of a distance field. Origin: chosen; not measured.
+FIELD_MARGIN = 2.0
+# Metres up to which the nearest earlier submap counts: passes of one place are connected, as by closed loops.
+# Origin: chosen; not measured.
+MAX_RELATION_DISTANCE = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CellPoints:
+    """Points (p, 4) with normals, in the order of the numbers (p,) of the cells of the map in which they lie."""
+
+    points: Floats
+    cells: Integers
+
+    def near(self, position: Floats, distance: float) -> CellPoints:
+        """Return the points up to a distance (metres) from a position (2,)."""
+        near = np.hypot(self.points[:, 0] - position[0], self.points[:, 1] - position[1]) < distance
+        return CellPoints(np.ascontiguousarray(self.points[near]), self.cells[near])
+
+    def add_misfits(self, field: DistanceField, pose: se2.Pose, misfits: Floats, known: Floats) -> None:
+        """Add to `known` (c,) the points of each cell in space that a field has seen, to `misfits` those that misfit.
+
+        The points are moved by `pose`; a point can misfit in part. See `slam.matching.point_costs`.
+        """
+        _add_misfits(field.arrays, self.points, self.cells, pose, misfits, known)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScannedMap:
+    """Known map with the points of its keyframes, in which a drive is searched for.
+
+    index   its walls
+    field   distance field of all points
+    points  thinned, in the map's frame
+    cells   number of cells
+    """
+
+    index: MapIndex
+    field: DistanceField
+    points: CellPoints
+    cells: int
+
+    @property
+    def seen_area(self) -> float:
+        """Square metres that scans have seen."""
+        return float(np.count_nonzero(self.field.seen)) * SEEN_CELL**2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SubmapScan:
+    """Submap of a drive with the points of its scans, in the frame of its last keyframe.
+
+    keyframes   of the submap
+    descriptor  its walls and corners
+    points      (p, 4) thinned, with normals
+    field       distance field of all points
+    reach       metres from the last keyframe to the farthest point
+    """
+
+    keyframes: range
+    descriptor: MapDescriptor
+    points: Floats
+    field: DistanceField
+    reach: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedScan:
+    """Submap in its own drive's map.
+
+    scan    the submap
+    pose    (3,) of its last keyframe in the drive's map
+    points  in the submap's frame; the cells are those of the drive's map
+    """
+
+    scan: SubmapScan
+    pose: se2.Pose
+    points: CellPoints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScannedDrive:
+    """Drive in submaps that are searched for in a known map.
+
+    submaps    in the order of driving
+    cells      number of cells of the drive's map
+    relations  pose of the second submap of a pair in the frame of the first, and its covariance (3, 3) in its own frame
+    """
+
+    submaps: Sequence[PlacedScan]
+    cells: int
+    relations: Mapping[tuple[int, int], tuple[se2.Pose, Floats]]
+
+
+def scan_map(
+    index: MapIndex, poses: Floats, points: Sequence[NDArray[np.floating]], cell: float = EVIDENCE_CELL
+) -> ScannedMap:
+    """Prepare a map of keyframes at `poses` (k, 3), each with points (p, 4) with normals in its frame, to search in.
+
+    cell  metres, side of its cells
+    """
+    moved = np.concatenate(
+        [np.zeros((0, 4)), *(_transform(pose, own) for pose, own in zip(poses, points, strict=True))]
+    )
+    low, high = _bounds(moved if len(moved) else poses)
+    field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + FIELD_MARGIN)
+    field.insert_scans(poses, points)
+    grid = _CellGrid.of(low, high, cell)
+    return ScannedMap(index, field, grid.sort(thin(moved), np.zeros(3)), grid.count)
+
+
+def scan_submap(
+    keyframes: range, descriptor: MapDescriptor, poses: Floats, points: Sequence[NDArray[np.floating]]
+) -> SubmapScan:
+    """Build a submap of keyframes at `poses` (k, 3), each with points (p, 4) with normals in its frame.
+
+    descriptor  walls and corners in the frame of the last keyframe
+    """
+    relative = se2.between(poses[-1], poses).reshape(-1, 3)
+    farthest = [np.hypot(own[:, 0], own[:, 1]).max(initial=0.0) for own in points]
+    reach = float(np.max(np.hypot(relative[:, 0], relative[:, 1]) + farthest))
+    built = build_submap(relative, points, reach + FIELD_MARGIN)
+    return SubmapScan(keyframes, descriptor, thin(built.points), built.field, reach)
+
+
+def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDENCE_CELL) -> ScannedDrive:
+    """Return a drive with its submaps at their present poses in the map; `cell` is the side of its cells, metres."""
+    poses = [mapper.keyframe_poses[scan.keyframes[-1]] for scan in scans]
+    moved = [_transform(pose, scan.points)[:, :2] for pose, scan in zip(poses, scans, strict=True)]
+    grid = _CellGrid.of(*_bounds(np.concatenate([np.array(poses)[:, :2], *moved])), cell)
+    placed = [PlacedScan(scan, pose, grid.sort(scan.points, pose)) for scan, pose in zip(scans, poses, strict=True)]
+    return ScannedDrive(placed, grid.count, _relations(mapper, placed))
+
+
+def thin(points: Floats) -> Floats:
+    """Return one of the points (p, 4) of each square of THINNED_SPACING whose surfaces face in about one direction."""
+    squares = np.round(points[:, :2] / THINNED_SPACING).astype(np.int64)
+    facing = np.round(np.arctan2(points[:, 3], points[:, 2]) / (0.5 * math.pi)).astype(np.int64) % 4
+    facing[~points[:, 2:].any(axis=1)] = 4
+    _, first = np.unique(np.column_stack([squares, facing]), axis=0, return_index=True)
+    return np.ascontiguousarray(points[np.sort(first)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _CellGrid:
+    """Cells of a map: lower corner (2,) of the first one, their number along x and y (2,), and their side, metres."""
+
+    origin: Floats
+    shape: Integers
+    side: float
+
+    @classmethod
+    def of(cls, low: Floats, high: Floats, side: float) -> _CellGrid:
+        """Return the cells of the points between two corners (2,); they stay the same if the map grows."""
+        origin = np.floor(low / side) * side
+        return cls(origin, np.floor((high - origin) / side).astype(np.int64) + 1, side)
+
+    @property
+    def count(self) -> int:
+        """Number of cells."""
+        return int(self.shape.prod())
+
+    def sort(self, points: Floats, pose: se2.Pose) -> CellPoints:
+        """Return points (p, 4) in a frame at `pose` in the map, in the order of their cells."""
+        cells = np.floor((_transform(pose, points)[:, :2] - self.origin) / self.side).astype(np.int64)
+        cells = np.clip(cells, 0, self.shape - 1)
+        numbers = cells[:, 0] * self.shape[1] + cells[:, 1]
+        order = np.argsort(numbers, kind="stable")
+        return CellPoints(np.ascontiguousarray(points[order]), numbers[order])
+
+
+def _bounds(points: Floats) -> tuple[Floats, Floats]:
+    """Return the lower and the upper corner (2,) around some points or poses (n, m)."""
+    return points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+
+
+def _relations(mapper: Mapper, submaps: Sequence[PlacedScan]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
+    """Return the relative poses of submaps with the one before and the nearest earlier one, in both directions."""
+    relations = {}
+    for j in range(1, len(submaps)):
+        distances = [math.hypot(*se2.between(one.pose, submaps[j].pose)[:2]) for one in submaps[: j - 1]]
+        near = {int(np.argmin(distances))} if distances and min(distances) < MAX_RELATION_DISTANCE else set()
+        for i in sorted(near | {j - 1}):
+            one, other = submaps[i], submaps[j]
+            relative = se2.between(one.pose, other.pose)
+            covariance = mapper.covariances.relative(one.scan.keyframes[-1], other.scan.keyframes[-1])
+            covariance = covariance + np.diag(DISTORTION_SIGMAS**2)
+            adjoint = se2.adjoint(relative)
+            relations[i, j] = relative, covariance
+            relations[j, i] = se2.inverse(relative), adjoint @ covariance @ adjoint.T
+    return relations
+
+
+def _transform(pose: se2.Pose, points: NDArray[np.floating]) -> Floats:
+    """Transform points (p, 4) with normals."""
+    turn = np.array([0.0, 0.0, pose[2]])
+    moved, normals = se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:])
+    return np.column_stack([moved.reshape(-1, 2), normals.reshape(-1, 2)]).astype(np.float64)
+
+
+@compiled
+def _add_misfits(field, points, cells, pose, misfits, known):  # type: ignore[no-untyped-def]
+    """Add the points of each cell; see `CellPoints.add_misfits`."""
+    first = 0
+    while first < len(points):
+        end = first
+        while end < len(points) and cells[end] == cells[first]:
+            end += 1
+        _, fit, count = points_cost(field, points[first:end], pose)
+        misfits[cells[first]] += (1.0 - fit) * count
+        known[cells[first]] += count
+        first = end
