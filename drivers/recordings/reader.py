@@ -64,12 +64,12 @@ class RecordingReader(ABC):
         """Yield the messages from the beginning, with non-decreasing stamps."""
         frozen = FrozenOdometryDetector()
         beams_reversed = self.beams_reversed
-        upside_down, gyroscope = self.upside_down, self.gyroscope_scale
+        reason, gyroscope = self.reason_to_mirror, self.gyroscope_scale
         messages = self._first_or_new_messages()
         report = self.report
-        if upside_down is not None:
-            self.interpret(upside_down)
-            messages = self._turned_over(messages)
+        if reason is not None:
+            self.interpret(reason)
+            messages = self._mirrored(messages)
         if gyroscope is not None:
             report.interpretations += gyroscope.interpretations()
             report.doubts += gyroscope.doubts()
@@ -125,7 +125,7 @@ class RecordingReader(ABC):
         return compare_odometry_turns(self._turns_as_recorded)
 
     @cached_property
-    def upside_down(self) -> str | None:
+    def reason_to_mirror(self) -> str | None:
         """Why scans are mirrored when they are read, as text; None if they are not.
 
         They are if no mount states whether the lidar is upside down, and odometry shows that it is.
@@ -133,7 +133,7 @@ class RecordingReader(ABC):
         first = next((message for message in self._survey_messages() if isinstance(message, Scan)), None)
         if first is None or first.mount is not None or self.odometry_turns is None:
             return None
-        return self.odometry_turns.upside_down()
+        return self.odometry_turns.reason_to_mirror()
 
     @property
     def has_odometry(self) -> bool:
@@ -171,9 +171,9 @@ class RecordingReader(ABC):
         """What is known of the whole recording before it is read: collected once, as that takes as long as reading."""
         from ..timing.turns import Turns
 
-        if self.upside_down is None:
+        if self.reason_to_mirror is None:
             return self._turns_as_recorded
-        return Turns(self._turned_over(self._survey_messages()))
+        return Turns(self._mirrored(self._survey_messages()))
 
     @cached_property
     def _turns_as_recorded(self) -> Turns:
@@ -182,7 +182,7 @@ class RecordingReader(ABC):
         return Turns(self._survey_messages())
 
     @staticmethod
-    def _turned_over(messages: Iterable[Message]) -> Iterator[Message]:
+    def _mirrored(messages: Iterable[Message]) -> Iterator[Message]:
         """Yield messages with mirrored scans."""
         return (mirrored(message) if isinstance(message, Scan) else message for message in messages)
 

@@ -1,6 +1,6 @@
 """Estimate the direction that a lidar points in on its robot, to find one that is mounted backwards or aside.
 
-Over pairs of scans SPAN apart, the lidar's motion t from scan matching is compared with that of the base by odometry, b
+Over pairs of scans, the lidar's motion t from scan matching is compared with that of the base by odometry, b
 and its turn a. With the mount's position m and heading h,
 
     R(h) t = b + (R(a) - I) m,
@@ -17,24 +17,16 @@ import numpy as np
 
 from .. import se2
 from ..messages import Floats
+from .motion_pairs import ERROR_PROBABILITY, MIN_PAIRS, covered_pairs, jackknife_sigma, leave_one_out
 from .student import upper_limit
-from .turns import Run, Turns
+from .turns import MAX_SCAN_PERIOD, Run, Turns
 
-# Seconds between the scans of a pair at least. Origin: chosen, as for delays; motions exceed the error of matching.
-SPAN = 1.0
-# Seconds between odometry readings at most, to interpolate between them.
-# Origin: chosen, as between scans; not measured.
-MAX_PERIOD = 0.6
-# Pairs for an estimate at least. Origin: chosen; a jackknife of fewer says little about the standard deviation.
-MIN_PAIRS = 8
 # Factor of odometry's distances, or its inverse, beyond which they are not those of the lidar.
 # Origin: chosen, well beyond calibration errors.
 MAX_SCALE = 2.0
 # Radians by which the heading must differ from the stated one: smaller errors are estimated while driving.
 # Origin: chosen, 20 degrees; a mount that was measured by eye is better.
 MIN_DIFFERENCE = 0.35
-# Probability of finding a wrong heading where it is right. Origin: chosen, so that no user meets it.
-ERROR_PROBABILITY = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,18 +58,15 @@ def estimate_mount_heading(turns: Turns) -> MountHeading | None:
     normal = np.array([rows.T @ rows for rows, _ in equations])
     right = np.array([rows.T @ values for rows, values in equations])
     try:
-        all_pairs = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
-        without_one = np.linalg.solve(normal.sum(axis=0) - normal, (right.sum(axis=0) - right)[:, :, None])[:, :, 0]
+        all_pairs, without_one = leave_one_out(normal, right)
     except np.linalg.LinAlgError:  # nothing moved
         return None
     found = float(np.arctan2(all_pairs[3], all_pairs[2]))
-    differences = se2.wrap(np.arctan2(without_one[:, 3], without_one[:, 2]) - found)
-    count = len(equations)
-    sigma = float(np.sqrt((count - 1) / count * (differences**2).sum()))
+    sigma = jackknife_sigma(se2.wrap(np.arctan2(without_one[:, 3], without_one[:, 2]) - found))
     if not 1.0 / MAX_SCALE < float(np.hypot(all_pairs[2], all_pairs[3])) < MAX_SCALE or not np.isfinite(sigma):
         return None
     mount = turns.runs[0].scans[0].mount
-    return MountHeading(None if mount is None else float(mount[2]), found, sigma, count)
+    return MountHeading(None if mount is None else float(mount[2]), found, sigma, len(equations))
 
 
 def mount_equations(driven: Floats, observed: Floats) -> Floats:
@@ -94,15 +83,9 @@ def mount_equations(driven: Floats, observed: Floats) -> Floats:
 
 def _equations(run: Run, turns: Turns) -> list[tuple[Floats, Floats]]:
     """Return the rows (2, 4) and right sides (2,) of the pairs of a run, for m, cos h and sin h."""
-    stamps, equations = turns.odometry[:, 0], []
-    first = 0
-    while (second := int(np.searchsorted(run.stamps, run.stamps[first] + SPAN))) < len(run.stamps):
-        low, high = np.searchsorted(stamps, [run.stamps[first], run.stamps[second]])
-        around = stamps[max(0, low - 1) : high + 1]
-        inside = len(around) > 1 and around[0] <= run.stamps[first] and around[-1] >= run.stamps[second]
-        if inside and float(np.diff(around).max()) < MAX_PERIOD:
-            base = turns.path_at(run.stamps[[first, second]])
-            driven, observed = se2.between(base[0], base[1]), se2.between(run.poses[first], run.poses[second])
-            equations.append((mount_equations(driven[None], observed[None]), driven[:2]))
-        first = second
+    equations = []
+    for first, second in covered_pairs(run, turns.odometry[:, 0], MAX_SCAN_PERIOD):
+        base = turns.path_at(run.stamps[[first, second]])
+        driven, observed = se2.between(base[0], base[1]), se2.between(run.poses[first], run.poses[second])
+        equations.append((mount_equations(driven[None], observed[None]), driven[:2]))
     return equations

@@ -1,11 +1,11 @@
 """Compare the turns that a sensor measures with those of the lidar: their scale, which shows units and mirrored axes.
 
-Over intervals of SPAN, the turn x of the sensor is compared with the turn y of the lidar from scan matching,
+Between pairs of scans, the turn x of the sensor is compared with the turn y of the lidar from scan matching,
 
     x = g y + b T,
 
 with the scale g, the bias b of the sensor's rates, and the duration T. Weights lower the influence of wrong matches and
-of slipping wheels. The standard deviation is that of the jackknife over the intervals.
+of slipping wheels. The standard deviation is that of the jackknife over the pairs.
 """
 
 from __future__ import annotations
@@ -16,42 +16,37 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..messages import Floats
+from .motion_pairs import ERROR_PROBABILITY, MIN_PAIRS, covered_pairs, jackknife_sigma, leave_one_out
 from .student import upper_limit
 from .turns import Run
 
-# Seconds of an interval at least. Origin: chosen, as for delays; turns exceed the error of matching.
-SPAN = 1.0
-# Intervals for an estimate at least. Origin: chosen; a jackknife of fewer says little about the standard deviation.
-MIN_INTERVALS = 8
 # Factor by which the scale differs from an expected one at most, or its inverse.
 # Origin: chosen, well beyond calibration errors, and far below the ratio of units.
 MAX_FACTOR = 2.0
-# Typical errors of an interval from which on its weight falls. Origin: chosen, usual for robust weights.
+# Typical errors of a pair from which on its weight falls. Origin: chosen, usual for robust weights.
 ROBUST_SIGMAS = 3.0
 # Times that the weights are computed. Origin: numerical.
 WEIGHT_ITERATIONS = 10
-# Radians, least typical error of an interval. Origin: numerical.
+# Radians, least typical error of a pair. Origin: numerical.
 MIN_ERROR = 1e-5
-# Probability of a wrong decision. Origin: chosen, so that no user meets it.
-ERROR_PROBABILITY = 1e-6
 
 
 @dataclass(frozen=True)
 class TurnScale:
     """Turns of a sensor, as multiples of those of the lidar.
 
-    found      scale as found
-    sigma      its standard deviation
-    intervals  over which turns were compared
+    found  scale as found
+    sigma  its standard deviation
+    pairs  pairs of scans between which turns were compared
     """
 
     found: float
     sigma: float
-    intervals: int
+    pairs: int
 
     def decide(self, others: Sequence[float]) -> float | None:
         """Return 1 unless that is certainly wrong, else the one of some other scales that is right, or None."""
-        reach = self.sigma * upper_limit(ERROR_PROBABILITY, self.intervals - 1)
+        reach = self.sigma * upper_limit(ERROR_PROBABILITY, self.pairs - 1)
         if self.found - reach < MAX_FACTOR and self.found + reach > 1.0 / MAX_FACTOR:
             return 1.0
         return next((one for one in others if 1.0 / MAX_FACTOR < self.found / one < MAX_FACTOR), None)
@@ -65,8 +60,8 @@ def estimate_turn_scale(runs: Sequence[Run], stamps: Floats, angles: Floats, max
 
     max_period  seconds between stamps at most, to interpolate between them
     """
-    rows = np.array([row for run in runs for row in _intervals(run, stamps, angles, max_period)])
-    if len(rows) < MIN_INTERVALS:
+    rows = np.array([row for run in runs for row in _turns_between(run, stamps, angles, max_period)])
+    if len(rows) < MIN_PAIRS:
         return None
     weights = np.ones(len(rows))
     try:
@@ -75,32 +70,25 @@ def estimate_turn_scale(runs: Sequence[Run], stamps: Floats, angles: Floats, max
             found, bias = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
             errors = np.abs(rows[:, 2] - found * rows[:, 0] - bias * rows[:, 1])
             weights = 1.0 / (1.0 + (errors / (ROBUST_SIGMAS * max(float(np.median(errors)), MIN_ERROR))) ** 2)
-        normal, right = _normal_equations(rows, weights)
-        without_one = np.linalg.solve(normal.sum(axis=0) - normal, (right.sum(axis=0) - right)[:, :, None])[:, 0, 0]
+        (found, _), without_one = leave_one_out(*_normal_equations(rows, weights))
     except np.linalg.LinAlgError:  # nothing turned
         return None
-    count = len(rows)
-    sigma = float(np.sqrt((count - 1) / count * ((without_one - found) ** 2).sum()))
-    return TurnScale(float(found), sigma, count) if np.isfinite([found, sigma]).all() else None
+    sigma = jackknife_sigma(without_one[:, 0] - found)
+    return TurnScale(float(found), sigma, len(rows)) if np.isfinite([found, sigma]).all() else None
 
 
 def _normal_equations(rows: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Return matrices (n, 2, 2) and right sides (n, 2) for scale and bias, of intervals (n, 3) with weights (n,)."""
+    """Return matrices (n, 2, 2) and right sides (n, 2) for scale and bias, of pairs (n, 3) with weights (n,)."""
     inputs = rows[:, :2]
     return weights[:, None, None] * inputs[:, :, None] * inputs[:, None, :], (weights * rows[:, 2])[:, None] * inputs
 
 
-def _intervals(run: Run, stamps: Floats, angles: Floats, max_period: float) -> list[tuple[float, float, float]]:
-    """Return the turn of the lidar, the duration, and the turn of the sensor of the intervals of a run."""
-    intervals = []
-    first = 0
-    while (second := int(np.searchsorted(run.stamps, run.stamps[first] + SPAN))) < len(run.stamps):
-        begin, end = run.stamps[first], run.stamps[second]
-        low, high = np.searchsorted(stamps, [begin, end])
-        around = stamps[max(0, low - 1) : high + 1]
-        if len(around) > 1 and around[0] <= begin and around[-1] >= end and np.diff(around).max() < max_period:
-            before, after = np.interp([begin, end], stamps, angles)
-            turned = run.poses[second, 2] - run.poses[first, 2]
-            intervals.append((float(turned), float(end - begin), float(after - before)))
-        first = second
-    return intervals
+def _turns_between(run: Run, stamps: Floats, angles: Floats, max_period: float) -> list[tuple[float, float, float]]:
+    """Return the turn of the lidar, the duration, and the turn of the sensor between the pairs of a run."""
+    turns = []
+    for first, second in covered_pairs(run, stamps, max_period):
+        begin, end = run.stamps[[first, second]]
+        before, after = np.interp([begin, end], stamps, angles)
+        turned = run.poses[second, 2] - run.poses[first, 2]
+        turns.append((float(turned), float(end - begin), float(after - before)))
+    return turns

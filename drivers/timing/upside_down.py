@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from .turn_scale import TurnScale, estimate_turn_scale
-from .turns import Turns
+from .turns import MAX_SCAN_PERIOD, Turns
 
-# Seconds between odometry readings at most, to interpolate between them.
-# Origin: chosen, as between scans; not measured.
-MAX_PERIOD = 0.6
 MIRRORED = -1.0
 """Scale of the turns of odometry if the scans are mirrored."""
 
@@ -18,8 +15,8 @@ class OdometryTurns:
     def __init__(self, turns: TurnScale) -> None:
         self._turns, self._used = turns, turns.decide([MIRRORED])
 
-    def upside_down(self) -> str | None:
-        """Return that the lidar is upside down, as a line of text; None if it is not."""
+    def reason_to_mirror(self) -> str | None:
+        """Return why scans must be mirrored, as the lidar is upside down, as a line of text; None if it is not."""
         if self._used != MIRRORED:
             return None
         return f"scans of a lidar that is upside down, since odometry measures {self._turns}; mirrored"
@@ -44,5 +41,5 @@ def compare_odometry_turns(turns: Turns) -> OdometryTurns | None:
     if len(turns.odometry) < 2:
         return None
     stamps, headings = turns.odometry.T
-    found = estimate_turn_scale(turns.runs, stamps, headings, MAX_PERIOD)
+    found = estimate_turn_scale(turns.runs, stamps, headings, MAX_SCAN_PERIOD)
     return None if found is None else OdometryTurns(found)

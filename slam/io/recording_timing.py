@@ -66,7 +66,7 @@ class RecordingTiming:
         if heading is not None and heading.stated is None and mount is None:
             used_heading = heading.found
         turns = reader.odometry_turns
-        doubts = () if turns is None else tuple(turns.doubts(corrected=reader.upside_down is not None))
+        doubts = () if turns is None else tuple(turns.doubts(corrected=reader.reason_to_mirror is not None))
         if set_delay is not None:
             return cls(reader.beams_reversed, test, None, set_delay, heading, used_heading, doubts)
         delay = reader.delay

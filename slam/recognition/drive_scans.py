@@ -53,13 +53,10 @@ class DriveScans:
         starts = first + np.flatnonzero(np.diff(number, prepend=-1))
         ends = [*starts[1:].tolist(), mapper.keyframe_count]
         spans = [range(start, end) for start, end in zip(starts.tolist(), ends, strict=True)][-MAX_SUBMAPS:]
-        kept = {span.start: self._complete[span.start] for span in spans[:-1] if span.start in self._complete}
-        self._complete = kept | {
-            span.start: _scan(mapper, local_field, span) for span in spans[:-1] if span.start not in kept
+        self._complete = {
+            span.start: self._complete.get(span.start) or _scan(mapper, local_field, span) for span in spans[:-1]
         }
-        return scan_drive(
-            mapper, [*(self._complete[s.start] for s in spans[:-1]), _scan(mapper, local_field, spans[-1])]
-        )
+        return scan_drive(mapper, [*self._complete.values(), _scan(mapper, local_field, spans[-1])])
 
 
 def _scan(mapper: Mapper, local_field: LocalField, keyframes: range) -> SubmapScan:

@@ -77,14 +77,14 @@ def test_odometry_that_hardly_turns_is_doubted() -> None:
     ]
     found = compare_odometry_turns(Turns(straight))
     assert found is not None
-    assert found.upside_down() is None
+    assert found.reason_to_mirror() is None
     assert "does not measure the turns" in "".join(found.doubts(corrected=False))
 
 
 @pytest.mark.parametrize(("found", "sigma"), [(-1.0, 0.3), (0.0, 0.2), (0.6, 0.001), (1.9, 0.001)])
 def test_what_is_uncertain_is_not_doubted(found: float, sigma: float) -> None:
     turns = OdometryTurns(TurnScale(found, sigma, 20))
-    assert turns.upside_down() is None
+    assert turns.reason_to_mirror() is None
     assert turns.doubts(corrected=False) == []
 
 
