@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol
 
 from .console import print_message
-from .signals import detach_from_terminal, ending_signals
+from .signals import detach_from_terminal, end_command, ending_signals
 
 if TYPE_CHECKING:
     from drivers.messages import Message
@@ -66,7 +66,7 @@ def stop_on_signals(receiver: Receiver, message: str = "") -> Iterator[None]:
 
     def stop(number: int, _: Any) -> None:
         for other in numbers:
-            signal.signal(other, signal.default_int_handler if other == signal.SIGINT else signal.SIG_IGN)
+            signal.signal(other, end_command if other == signal.SIGINT else signal.SIG_IGN)
         if number == signal.SIGHUP:
             detach_from_terminal()
         receiver.stop()

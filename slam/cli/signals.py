@@ -9,12 +9,15 @@ import stat
 import sys
 import threading
 from contextlib import suppress
+from types import FrameType
 from typing import Any
 
 SIGNAL_STATUS = 128
 """Exit status of a command ended by a signal, as in shells: this plus the number of the signal."""
 REPEAT_DELAY = 0.05
-"""Seconds until a signal whose exception was lost is handled again; callbacks that lose exceptions are shorter."""
+"""Seconds until a signal that could not be handled is handled again; callbacks are shorter."""
+COMPILER = "llvmlite"
+"""Package that must not be interrupted: LLVM loses exceptions in its callbacks, and would load code without data."""
 
 
 class SignalExit(SystemExit):
@@ -34,12 +37,12 @@ def ending_signals() -> list[signal.Signals]:
 def exit_on_signals() -> None:
     """Make SIGTERM and SIGHUP end the command with the same cleanup as Ctrl-C.
 
-    Code that is called from C, as compilers do, can raise no exception: Python reports it and goes on. A signal that
-    arrives there is handled again a moment later.
+    Code that is called from C can raise no exception: Python reports it and goes on. A signal that arrives there, or
+    while LLVM compiles or loads a function, is handled again a moment later.
     """
     for number in ending_signals():
-        if number != signal.SIGINT:
-            signal.signal(number, _exit)
+        if number != signal.SIGINT or signal.getsignal(number) is signal.default_int_handler:  # not ignored
+            signal.signal(number, end_command)
     report = sys.unraisablehook
 
     def repeat(unraisable: Any) -> None:
@@ -63,10 +66,28 @@ def detach_from_terminal() -> None:
     os.close(null)
 
 
-def _exit(number: int, _: object) -> None:
+def end_command(number: int, frame: FrameType | None) -> None:
+    """Handle a signal: raise KeyboardInterrupt for SIGINT, else SignalExit.
+
+    While LLVM is at work, the signal is handled again a moment later: interrupted there, the process would crash.
+    """
+    if _is_in_compiler(frame):
+        _repeat_later(number)
+        return
+    if number == signal.SIGINT:
+        raise KeyboardInterrupt
     if number == signal.SIGHUP:
         detach_from_terminal()
     raise SignalExit(number)
+
+
+def _is_in_compiler(frame: FrameType | None) -> bool:
+    """Return True if LLVM is at work in a frame or in one of its callers."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").partition(".")[0] == COMPILER:
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _repeat_later(number: int) -> None:

@@ -1,0 +1,46 @@
+"""Signals that end a command."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMPILED = "from numba import njit\n\n@njit(cache=True)\ndef add_one(x):\n    return x + 1\n"
+# Sends a signal in a callback of LLVM, which gets the code of a function there that was compiled before.
+PROGRAM = """
+import os, signal, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from numba.core.codegen import CPUCodeLibrary
+from slam.cli.signals import exit_on_signals
+
+load = CPUCodeLibrary._object_getbuffer_hook.__func__
+def interrupt(library, module):
+    code = load(library, module)
+    if code is not None:
+        os.kill(os.getpid(), {number})
+        time.sleep(0.0)  # it is handled here
+    return code
+CPUCodeLibrary._object_getbuffer_hook = classmethod(interrupt)
+exit_on_signals()
+
+from compiled_function import add_one
+assert add_one(1) == 2
+time.sleep(20)
+print("not interrupted")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_function_is_loaded_ends_the_command(tmp_path: Path, number: signal.Signals) -> None:
+    (tmp_path / "compiled_function.py").write_text(COMPILED)
+    compile_it = "import compiled_function; compiled_function.add_one(1)"
+    subprocess.run([sys.executable, "-c", compile_it], cwd=tmp_path, timeout=120, check=True)
+    command = [sys.executable, "-c", PROGRAM.format(number=int(number))]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    assert result.returncode == (-signal.SIGINT if number == signal.SIGINT else 128 + signal.SIGTERM), result.stderr
+    assert not result.stdout
+    assert "Exception ignored" not in result.stderr
