@@ -117,6 +117,7 @@ class SlamState:
         self.local_map = empty_local_map()
         self.local_field = LocalField()
         self.anchor: Anchor | None = None
+        self.learned_until: Anchor | None = None
         self.kidnapped = self.slipped = False
         self.kidnapped_keyframes: list[int] = []
         self.frozen = False
@@ -203,7 +204,15 @@ class SlamState:
         """Pose of the anchor in the map; the origin if there is no anchor yet."""
         if self.anchor is None:
             return np.zeros(3)
-        return se2.compose(self.mapper.keyframe_poses[self.anchor.keyframe], self.anchor.relative)
+        return self.pose_of(self.anchor)
+
+    def pose_of(self, anchor: Anchor) -> se2.Pose:
+        """Return the pose of an anchor in the map."""
+        return se2.compose(self.mapper.keyframe_poses[anchor.keyframe], anchor.relative)
+
+    def set_anchor(self, anchor: Anchor) -> None:
+        """Set the reference of the next motion, from which odometry's errors are learned as well."""
+        self.anchor, self.learned_until = anchor, None
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
@@ -222,7 +231,7 @@ class SlamState:
         """
         keyframe, relative = _relative_to_nearest(self.mapper.keyframe_poses, pose)
         covariance = np.diag(INITIAL_POSE_SIGMAS**2)
-        self.anchor = Anchor(keyframe, relative, covariance, scan.odometry)
+        self.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
         self.move_to(pose, scan.odometry)
         self.local_field.begin_part()
         self.update_local_field()
@@ -233,7 +242,7 @@ class SlamState:
             return False
         found = match.points.pose
         relative = se2.between(self.mapper.keyframe_poses[keyframe], found)
-        self.anchor = Anchor(keyframe, relative, covariance, scan.odometry)
+        self.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
         self.move_to(found, scan.odometry)
         return True
 

@@ -42,7 +42,8 @@ class ScanMatch:
     registration  of its features with the landmarks, from the best match on
     fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
     known         number of points in space that was seen before
-    familiarity   0 to 1: share of its wall length that lies on known walls; without walls, share of its points that fit
+    familiarity   0 to 1: share of its wall length that lies on known walls; without walls, `explained`
+    explained     0 to 1, share of all points that lie on known surfaces
     """
 
     points: PointMatch
@@ -51,6 +52,7 @@ class ScanMatch:
     fit: float
     known: int
     familiarity: float
+    explained: float
 
     @property
     def score(self) -> float:
@@ -101,8 +103,9 @@ class MatchTarget:
         )  # fmt: skip
         _, fit, known = point_cost(self.field, points, registration.pose)
         has_walls = scan.segments.total_length >= MIN_WALL_LENGTH
-        familiarity = registration.overlap_ratio if has_walls else fit * known / max(1, len(points))
-        return ScanMatch(match, others, registration, fit, known, familiarity)
+        explained = fit * known / max(1, len(points))
+        familiarity = registration.overlap_ratio if has_walls else explained
+        return ScanMatch(match, others, registration, fit, known, familiarity, explained)
 
     def contradict(self, scan: ScanFeatures, pose: se2.Pose) -> bool:
         """Return True if a considerable part of what a scan at a pose shows of known space does not fit."""

@@ -208,6 +208,7 @@ class Tracker:
             match.points.prediction,
             status,
             match.familiarity,
+            match.explained,
             match.known,
             match.poor,
             slipped,

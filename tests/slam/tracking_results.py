@@ -21,6 +21,7 @@ def tracking_result(
     known: int = MIN_KNOWN_POINTS,
     poor: bool = False,
     slipped: bool = False,
+    explained: float = 1.0,
 ) -> TrackingResult:
     """Return the result of a scan at `pose`, the origin by default, with the information (3, 3) from walls alone."""
     pose = np.zeros(3) if pose is None else pose
@@ -34,6 +35,7 @@ def tracking_result(
         predicted or Prediction(pose, np.eye(3)),
         status,
         1.0,
+        explained,
         known,
         poor=poor,
         slipped=slipped,

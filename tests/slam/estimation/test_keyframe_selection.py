@@ -1,0 +1,55 @@
+"""Which scans become keyframes, and from which motions the errors of odometry are learned."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation, load_world
+from slam import Slam
+from slam.config import Config
+from slam.estimation.keyframe_selection import MIN_EXPLAINED, is_due
+from slam.estimation.slam_state import Anchor, SlamState
+from slam.matching.point_matcher import Prediction
+
+from ..tracking_results import tracking_result
+
+ANCHOR = np.array([1.0, 2.0, math.pi / 2])
+CONFIG = Config.model_validate({"mapping": {"known_spacing": 2.0}})
+MAPPING = CONFIG.mapping
+
+
+def due(motion: se2.Pose, explained: float) -> bool:
+    """Return True if a scan is due that is predicted at `motion` from the anchor, and of which a share is mapped."""
+    state = SlamState(CONFIG)
+    state.mapper.keyframe_poses = ANCHOR[None]
+    state.set_anchor(Anchor(0, np.zeros(3), np.zeros((3, 3)), np.zeros(3)))
+    predicted = Prediction(se2.compose(ANCHOR, motion), np.eye(3))
+    return is_due(state, tracking_result(predicted=predicted, explained=explained))
+
+
+@pytest.mark.parametrize(
+    "step",
+    [[MAPPING.keyframe_distance, 0.0, 0.0], [0.0, -MAPPING.keyframe_distance, 0.0], [0.0, 0.0, -MAPPING.keyframe_turn]],
+    ids=["ahead", "aside", "turning"],
+)
+def test_keyframes_are_farther_apart_where_little_is_new(step: list[float]) -> None:
+    motion = np.array(step)
+    for factor, explained in ((2.0, 1.0), (2.0, MIN_EXPLAINED), (1.0, MIN_EXPLAINED - 0.01), (1.0, 0.0)):
+        assert not due(0.99 * factor * motion, explained)
+        assert due(1.01 * factor * motion, explained)
+
+
+def test_the_first_scan_is_due() -> None:
+    assert is_due(SlamState(Config()), tracking_result())
+
+
+def test_odometry_is_learned_between_keyframes_too() -> None:
+    slam = Slam(CONFIG)
+    for message in Simulation(load_world("office"), 3, 60.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
+        slam.add(message)
+    state = slam.slam_state
+    assert len(state.odometry_model.samples) > 1.2 * state.mapper.keyframe_count
