@@ -94,8 +94,9 @@ class Estimator:
             update = self._close_loop(scan, update, update.loop)
             timer.lap("closing")
         in_plan = update is not None and self._frozen is None and update_by_plan(self.state, update.observations)
-        result = ScanResult(tracking, update, None, self.state.mapper, in_plan=in_plan, joined=_joined_part(update))
-        result = replace(result, retracted=self._retract_contradicted_closure())
+        mapper, joined = self.state.mapper, _joined_part(update)
+        retracted = self._retract_contradicted_closure()
+        result = ScanResult(tracking, update, retracted, mapper, in_plan=in_plan, joined=joined)
         if self.state.lost:
             unmeasured = self.state.view_changed or not self.state.odometry_model.measured
             began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=unmeasured)

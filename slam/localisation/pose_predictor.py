@@ -101,7 +101,7 @@ class PosePredictor:
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
         if self._rival is not None:  # both hypotheses are followed from where the last scan fits them
-            usual = replace(self._by_odometry(self._rival, odometry, usual.inertia), cost=self._rival_cost)
+            usual = self._by_odometry(self._rival, odometry, usual.inertia, self._rival_cost)
         predictions = [usual] if self._since_fix is None else [usual, slip]
         self._since_slip += interval
         if self._before_slip is not None and self._since_slip < STEADY_SECONDS:
@@ -150,15 +150,17 @@ class PosePredictor:
             slip = replace(slip, information=information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
             sigmas = self._velocity.deviations(self._since_fix or 0.0) + PREDICTION_SIGMAS
             return replace(self._by_odometry(self._reference, odometry, None), search_sigmas=sigmas[1:]), slip
-        usual = self._by_odometry(self._reference, odometry, slip if self._since_fix is not None else None)
-        return replace(usual, cost=self._slips.cost_of_none), slip
+        inertia = slip if self._since_fix is not None else None
+        return self._by_odometry(self._reference, odometry, inertia, self._slips.cost_of_none), slip
 
-    def _by_odometry(self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None) -> Prediction:
+    def _by_odometry(
+        self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None, cost: float = 0.0
+    ) -> Prediction:
         """Return the prediction if the robot has moved from the reference as odometry says."""
         motion = reference.odometry_motion(odometry)
         pose = se2.compose(reference.pose, self.model.correct(motion))
         information = inverse(self.model.covariance(motion) + self._prediction_error.covariance)
-        return Prediction(pose, information, inertia=inertia)
+        return Prediction(pose, information, cost, inertia=inertia)
 
     def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:
         """Return the prediction some seconds after `pose` if the robot moves on as it did, whatever odometry says."""

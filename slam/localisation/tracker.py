@@ -132,8 +132,9 @@ class Tracker:
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
         follows = self._predictor.tentative is not None and match.points.prediction in predictions[-FROM_TENTATIVE:]
-        result = self._result(match, status, slipped=slipped, abrupt=abrupt)
-        result = replace(result, follows=follows, contradicts_old_map=alone is not None)
+        result = _result(
+            match, status, slipped=slipped, abrupt=abrupt, follows=follows, contradicts_old_map=alone is not None
+        )
         self._update(result, match, predictions[0], odometry)
         return result
 
@@ -196,24 +197,30 @@ class Tracker:
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirmed or contradicts
 
-    def _result(self, match: ScanMatch, status: TrackingStatus, *, slipped: bool, abrupt: bool) -> TrackingResult:
-        prior = match.points.prediction.information
-        covariance = np.asarray(inverse(match.points.information + prior))
-        registered = np.asarray(inverse(match.registration.total_information + prior))
-        return TrackingResult(
-            match.points.pose,
-            covariance,
-            match.registration,
-            registered,
-            match.points.prediction,
-            status,
-            match.familiarity,
-            match.explained,
-            match.known,
-            match.poor,
-            slipped,
-            abrupt,
-        )
+
+def _result(
+    match: ScanMatch, status: TrackingStatus, *, slipped: bool, abrupt: bool, follows: bool, contradicts_old_map: bool
+) -> TrackingResult:
+    """Return the result of tracking with a match; for the other arguments see `TrackingResult`."""
+    prior = match.points.prediction.information
+    covariance = np.asarray(inverse(match.points.information + prior))
+    registered = np.asarray(inverse(match.registration.total_information + prior))
+    return TrackingResult(
+        match.points.pose,
+        covariance,
+        match.registration,
+        registered,
+        match.points.prediction,
+        status,
+        match.familiarity,
+        match.explained,
+        match.known,
+        match.poor,
+        slipped,
+        abrupt,
+        follows,
+        contradicts_old_map,
+    )
 
 
 def _too_few_features(scan: ScanFeatures) -> bool:
