@@ -9,7 +9,7 @@ import numpy as np
 
 from . import line_tracking, rays, segmentation, segments
 from .estimators import ESTIMATORS
-from .feature_buffers import FeatureBuffers
+from .feature_buffers import FeatureBuffers, NoiseEstimate
 from .kernel import extract_features
 from .settings import Settings
 from .types import Corners, Features, Floats, Lines, Noise
@@ -22,6 +22,9 @@ ROUGHNESS = 0.01
 MIN_SIGMA_RANGE = 0.002
 # Metres. Maximum of the adapted range noise. Origin: chosen; not measured.
 MAX_SIGMA_RANGE = 0.10
+# Radians. Limits of the adapted bearing noise. Origin: encoders of robots' lidars resolve about 0.01 degrees; the
+# maximum is chosen: beams of sparse lidars are a degree wide.
+MIN_SIGMA_BEARING, MAX_SIGMA_BEARING = math.radians(0.005), math.radians(1.0)
 # Scans. Weight of the given range noise relative to observed scans. Origin: chosen; not measured.
 PRIOR_SCANS = 2.0
 # Extractions from one scan after which the estimate of its noise is used as it is. Origin: numerical, from a third of
@@ -30,11 +33,16 @@ MAX_SETTLING_EXTRACTIONS = 5
 # Lines of a scan that determine the noise as well as it is given: surfaces differ in roughness.
 # Origin: chosen; not measured.
 PRIOR_LINES = 10
+# Lines that determine the bearing noise as well as it is given. Origin: definition, data sheets rarely state it, so its
+# variance may be wrong by as much as itself; a line's estimate has that standard deviation.
+PRIOR_BEARING_LINES = 1.0
 # Relative change of the standard deviation of range below which it has settled. Origin: numerical.
 SETTLED = 0.01
 # Minimum weight of a new scan in the running mean of the range variance: a memory of about 30 scans.
 # Origin: chosen; not measured.
 MIN_GAIN = 0.03
+# Lines in the memory of the running mean of the bearing variance. Origin: definition, as many scans of PRIOR_LINES.
+MEMORY_LINES = PRIOR_LINES / MIN_GAIN
 
 
 class Extractor:
@@ -43,7 +51,7 @@ class Extractor:
     method          "split": recursive splitting, merging and bridging; "tracking": the paper's line tracking
     estimator       line estimator, a name in ESTIMATORS
     noise           standard deviations of a ray's range (metres) and bearing (radians)
-    adapt_noise     estimate the standard deviation of range from the residuals of long walls, scan by scan
+    adapt_noise     estimate the standard deviations from the residuals of long walls, scan by scan
     range_min, range_max  metres; returns outside are ignored. Many lidars report a no-return as a range above 80 m.
     minimum_count   rays of a line. Two parameters are fitted; five rays leave three degrees of freedom for its test.
     minimum_length  metres of a line; shorter ones are furniture and door frames rather than walls
@@ -51,7 +59,7 @@ class Extractor:
     penalty         decrease of chi-square that a further break must bring
     roughness       metres by which real walls deviate from straight lines; breaks must exceed it
     tracking_distance  metres from a tracked line within which a ray belongs to it
-    prior_scans     weight of the given range noise relative to observed scans
+    learned         the given noise is that of earlier scans of this lidar, so it changes slowly
     """
 
     def __init__(
@@ -69,7 +77,7 @@ class Extractor:
         penalty: float = segmentation.PENALTY,
         roughness: float = ROUGHNESS,
         tracking_distance: float = line_tracking.PAPER_DISTANCE,
-        prior_scans: float = PRIOR_SCANS,
+        learned: bool = False,
     ) -> None:
         if estimator not in ESTIMATORS:
             raise ValueError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
@@ -79,7 +87,8 @@ class Extractor:
             raise ValueError(f"noise must be positive, not {noise}")
         self._noise = noise
         self._adapt = adapt_noise
-        self._scan_weight = prior_scans
+        self._range_weight = 1.0 / MIN_GAIN if learned else PRIOR_SCANS
+        self._bearing_weight = MEMORY_LINES if learned else PRIOR_BEARING_LINES
         settings = Settings(
             sigma_range=float(noise.sigma_range),
             sigma_bearing=float(noise.sigma_bearing),
@@ -110,46 +119,54 @@ class Extractor:
 
         n may change from scan to scan. Raises ValueError if the lengths differ.
         """
+        self._load(ranges, angles)
+        used = self._noise
+        lines, corners, estimate = self.run_kernel()
+        if self._adapt:
+            sigma_range = self._adapted_range(estimate)
+            self._set_noise(sigma_range, self._adapted_bearing(estimate, used.sigma_bearing))
+        return Features(self._lines(lines), self._corners(corners), used)
+
+    def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
+        """Estimate the noise from one scan, by repeated extraction; return False if it does not determine it.
+
+        The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
+        have wrong covariances, and a running mean corrects it too late. The given range noise counts as PRIOR_LINES
+        lines in a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is
+        not adapted.
+        """
+        if not self._adapt:
+            return True
+        self._load(ranges, angles)
+        given, weights, share = self._noise, (self._range_weight, self._bearing_weight), 0.0
+        for _ in range(MAX_SETTLING_EXTRACTIONS):
+            before, self._range_weight = self._noise, 0.0
+            lines, _, estimate = self.run_kernel()
+            if not estimate.range_weight > 0.0:
+                break
+            sigma_range, self._bearing_weight = self._adapted_range(estimate), weights[1]
+            self._set_noise(sigma_range, self._adapted_bearing(estimate, given.sigma_bearing))
+            share = lines / (lines + PRIOR_LINES)
+            if abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
+                break
+        self._range_weight, self._bearing_weight = weights
+        sigma_range = given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share
+        self._set_noise(sigma_range, self._noise.sigma_bearing)
+        return share > 0.0
+
+    def run_kernel(self) -> tuple[int, int, NoiseEstimate]:
+        """Run the compiled part of `extract` on the last scan; return the kernel's result."""
+        return extract_features(self._ranges, self._angles, self._settings, self._memory, tuple(self._output))
+
+    def _load(self, ranges: Floats, angles: Floats) -> None:
+        """Copy a scan, as a read-only array or another data type would trigger a new compilation."""
         count = len(ranges)
         if len(angles) != count:
             raise ValueError(f"{count} ranges but {len(angles)} angles")
         if count != len(self._ranges):
             self._allocate(count)
-        # copied, because a read-only array or another data type would trigger a new compilation
         self._ranges[:] = ranges
         self._angles[:] = angles
-        used = self._noise
-        lines, corners, variance = self.run_kernel()
-        if self._adapt and not math.isnan(variance):
-            self._adapt_noise(variance)
-        return Features(self._lines(lines), self._corners(corners), used)
-
-    def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
-        """Estimate the noise from one scan alone, by repeated extraction; return False if it does not determine it.
-
-        The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
-        have wrong covariances, and a running mean corrects it too late. The given noise counts as PRIOR_LINES lines in
-        a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is not
-        adapted.
-        """
-        if not self._adapt:
-            return True
-        given, weight, share = self._noise, self._scan_weight, 0.0
-        for _ in range(MAX_SETTLING_EXTRACTIONS):
-            before, self._scan_weight = self._noise, 0.0
-            lines = len(self.extract(ranges, angles).lines)
-            if self._noise is before:  # no line determines it
-                break
-            share = lines / (lines + PRIOR_LINES)
-            if abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
-                break
-        self._scan_weight = weight
-        self._set_sigma_range(given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share)
-        return share > 0.0
-
-    def run_kernel(self) -> tuple[int, int, float]:
-        """Run the compiled part of `extract` on the last scan; return the kernel's result."""
-        return extract_features(self._ranges, self._angles, self._settings, self._memory, tuple(self._output))
 
     def _allocate(self, beams: int) -> None:
         """Allocate memory for scans of `beams` beams; larger memory is kept."""
@@ -164,19 +181,36 @@ class Extractor:
             curved=np.zeros(beams + 1, dtype=np.bool_),
             corners=np.zeros((beams + 1, 7)),
             pairs=np.zeros((beams + 1, 2), dtype=np.int64),
-            range_variances=np.zeros(beams + 1),
+            noise=np.zeros((beams + 1, 4)),
         )
 
-    def _adapt_noise(self, variance: float) -> None:
-        """Update the geometric running mean of the range variance with that of a scan."""
-        gain = max(1.0 / (self._scan_weight + 1.0), MIN_GAIN)
-        self._scan_weight += 1.0
-        limited = min(max(variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
-        self._set_sigma_range(self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain))
+    def _adapted_range(self, estimate: NoiseEstimate) -> float:
+        """Return the root of the geometric running mean of the range variance, after that of one more scan."""
+        sigma = self._noise.sigma_range
+        if not estimate.range_weight > 0.0:
+            return sigma
+        gain = max(1.0 / (self._range_weight + 1.0), MIN_GAIN)
+        self._range_weight += 1.0
+        limited = min(max(estimate.range_variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
+        return float(sigma ** (1.0 - gain) * limited ** (0.5 * gain))
 
-    def _set_sigma_range(self, sigma: float) -> None:
-        self._noise = Noise(sigma, self._noise.sigma_bearing)
-        self._settings = (sigma, *self._settings[1:])
+    def _adapted_bearing(self, estimate: NoiseEstimate, sigma: float) -> float:
+        """Return the root of the running mean of the bearing variance, after that of one more scan; `sigma` before.
+
+        Scans are weighted by their segments. The mean is no geometric one, as estimates may be negative where the noise
+        of the range is larger.
+        """
+        weight = estimate.bearing_weight
+        if not weight > 0.0:
+            return sigma
+        self._bearing_weight = min(self._bearing_weight + weight, MEMORY_LINES)
+        gain = min(1.0, weight / self._bearing_weight)
+        variance = sigma * sigma + gain * (estimate.bearing_variance - sigma * sigma)
+        return math.sqrt(min(max(variance, MIN_SIGMA_BEARING**2), MAX_SIGMA_BEARING**2))
+
+    def _set_noise(self, sigma_range: float, sigma_bearing: float) -> None:
+        self._noise = Noise(sigma_range, sigma_bearing)
+        self._settings = (sigma_range, sigma_bearing, *self._settings[2:])
 
     def _lines(self, count: int) -> Lines:
         rows = self._output.lines[:count].copy()

@@ -15,7 +15,7 @@ class FeatureBuffers(NamedTuple):
     curved           true if a line is a chord of a curved surface
     corners          x, y, Cxx, Cxy, Cxy, Cyy, evidence against a curve (see curves)
     pairs            line before, line after
-    range_variances  estimates from long segments, sorted
+    noise            range variance and its weight, bearing variance and its weight, as estimated from a long segment
     """
 
     lines: Floats
@@ -23,4 +23,19 @@ class FeatureBuffers(NamedTuple):
     curved: Flags
     corners: Floats
     pairs: Integers
-    range_variances: Floats
+    noise: Floats
+
+
+class NoiseEstimate(NamedTuple):
+    """Estimate of the noise from the long segments of one scan.
+
+    range_variance    squared metres; NaN if there is no such segment
+    range_weight      number of segments that determine it, less the shares of other noise
+    bearing_variance  squared radians; NaN if there is no such segment
+    bearing_weight    as range_weight
+    """
+
+    range_variance: float
+    range_weight: float
+    bearing_variance: float
+    bearing_weight: float

@@ -194,7 +194,27 @@ def test_range_noise_is_estimated(simulate: Callable[..., object], given_sigma: 
         scan = simulate(seed, beams=500, sigma_range=true_sigma, sigma_bearing=np.radians(0.05), outliers=0.01)
         features = extractor.extract(scan.ranges, scan.angles)
     assert features.noise.sigma_range == pytest.approx(true_sigma, rel=0.15)
-    assert extractor.noise.sigma_bearing == np.radians(0.05)
+    assert extractor.noise.sigma_bearing < np.radians(0.1)
+
+
+@pytest.mark.parametrize("given_degrees", [0.05, 0.5])
+@pytest.mark.parametrize("true_degrees", [0.2, 0.4])
+def test_bearing_noise_is_estimated(simulate: Callable[..., object], given_degrees: float, true_degrees: float) -> None:
+    extractor = Extractor(Noise(0.01, np.radians(given_degrees)))
+    for seed in range(150):
+        scan = simulate(seed, beams=500, sigma_range=0.01, sigma_bearing=np.radians(true_degrees), outliers=0.01)
+        features = extractor.extract(scan.ranges, scan.angles)
+    assert features.noise.sigma_bearing == pytest.approx(np.radians(true_degrees), rel=0.15)
+    assert features.noise.sigma_range == pytest.approx(0.01, rel=0.1)
+
+
+def test_walls_that_face_the_lidar_do_not_determine_the_bearing_noise() -> None:
+    angles, random = np.radians(np.linspace(-12.0, 12.0, 97)), np.random.default_rng(4)
+    extractor = Extractor(Noise(0.01, np.radians(0.05)))
+    for _ in range(100):
+        extractor.extract(4.0 / np.cos(angles) + random.normal(0.0, 0.03, len(angles)), angles)
+    assert extractor.noise.sigma_range == pytest.approx(0.03, rel=0.1)
+    assert extractor.noise.sigma_bearing == pytest.approx(np.radians(0.05), rel=0.1)
 
 
 @pytest.mark.parametrize("given_sigma", [0.005, 0.01, 0.05])
@@ -208,6 +228,16 @@ def test_the_first_scan_settles_most_of_a_wrong_noise(simulate: Callable[..., ob
         remaining.append([np.log(each.noise.sigma_range / 0.02) for each in (settled, once)])
     by_settling, by_extraction = np.abs(np.median(remaining, axis=0))
     assert by_settling < 0.75 * by_extraction
+
+
+def test_the_first_scan_settles_most_of_a_wrong_bearing_noise(simulate: Callable[..., object]) -> None:
+    settled = []
+    for seed in range(20):
+        scan = simulate(seed, beams=500, sigma_range=0.005, sigma_bearing=np.radians(0.4))
+        extractor = Extractor(Noise(0.005, np.radians(0.05)))
+        assert extractor.settle_noise(scan.ranges, scan.angles)
+        settled.append(extractor.noise.sigma_bearing)
+    assert np.median(settled) == pytest.approx(np.radians(0.4), rel=0.5)
 
 
 def test_a_scan_without_lines_settles_nothing(simulate: Callable[..., object]) -> None:

@@ -12,6 +12,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
+from features import Noise
+
+from ...config import LidarConfig
 from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
@@ -24,6 +27,8 @@ from ..json_files import read_json
 from .agreement import AgreementRecord, agreement_record
 from .local_field import LocalFieldRecord, local_field_record, local_field_state
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
+
+DATA_SHEET = LidarConfig()  # noise of sessions that were made when the bearing noise was not estimated
 
 FORMAT = "wclm-slam session"
 SESSION_VERSION = 9
@@ -108,9 +113,23 @@ class _Part(Record):
 
 class _SensorModels(Record):
     sigma_range: Finite = Field(gt=0.0)
+    sigma_bearing: Finite = Field(default=DATA_SHEET.sigma_bearing, gt=0.0)
     odometry_samples: list[list[Finite]]
     roughness_samples: list[Finite]
     second_sigma_range: Finite | None = Field(default=None, gt=0.0)
+    second_sigma_bearing: Finite | None = Field(default=None, gt=0.0)
+
+    @property
+    def noise(self) -> Noise:
+        """Noise of a ray of the lidar."""
+        return Noise(self.sigma_range, self.sigma_bearing)
+
+    @property
+    def second_noise(self) -> Noise | None:
+        """Noise of a ray of the second lidar; None if there is none."""
+        if self.second_sigma_range is None:
+            return None
+        return Noise(self.second_sigma_range, self.second_sigma_bearing or DATA_SHEET.sigma_bearing)
 
     @model_serializer(mode="wrap")
     def _without_second_lidar(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -157,15 +176,16 @@ class SessionHeader(Record):
         loops: LoopAgreementState,
         joins: Mapping[int, LoopAgreementState],
         graph: GraphState,
-        sensor_models: tuple[float, Floats, Floats, float | None],
+        sensor_models: tuple[Noise, Floats, Floats, Noise | None],
         parts: MapParts,
     ) -> SessionHeader:
         """Make the header of a session.
 
         loops, joins   state of the search for loops, and of those for joins, by the group of parts that is searched
-        sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), samples of the wall
-                       roughness (m,), and standard deviation of a range of the second lidar, None if there is none
+        sensor_models  noise of a ray, samples of the odometry model (n, 6) and of the wall roughness (m,), noise of a
+                       ray of the second lidar, None if there is none
         """
+        noise, odometry_samples, roughness_samples, second_noise = sensor_models
         return cls(
             recordings=recordings,
             segment_starts=segment_starts,
@@ -173,10 +193,12 @@ class SessionHeader(Record):
             agreement=agreement_record(loops),
             graph=_Graph(updates=graph.updates, qr=graph.qr, range_bias=graph.bias, waiting=graph.waiting),
             sensor_models=_SensorModels(
-                sigma_range=sensor_models[0],
-                odometry_samples=sensor_models[1].tolist(),
-                roughness_samples=sensor_models[2].tolist(),
-                second_sigma_range=sensor_models[3],
+                sigma_range=noise.sigma_range,
+                sigma_bearing=noise.sigma_bearing,
+                odometry_samples=odometry_samples.tolist(),
+                roughness_samples=roughness_samples.tolist(),
+                second_sigma_range=None if second_noise is None else second_noise.sigma_range,
+                second_sigma_bearing=None if second_noise is None else second_noise.sigma_bearing,
             ),
             parts=_part_records(parts),
             joins={group: agreement_record(state) for group, state in joins.items()} if parts.apart else {},

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from features import Noise
+
 from ...config import Config
 from ...estimation.slam_state import Anchor, SlamState, TrackingCheckpoint
 from ...geometry.segments import Floats
@@ -48,7 +50,9 @@ def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
     )
     poses = np.array([view.pose for view in views])
     history = OdometryHistory.from_arrays(np.array(stamps), poses)
-    return StoredSession(config, state, scans, [history], [0], config.lidar.sigma_range)
+    return StoredSession(
+        config, state, scans, [history], [0], Noise(config.lidar.sigma_range, config.lidar.sigma_bearing)
+    )
 
 
 def _scan(stamp: float, view: PlanView) -> ProcessedScan:

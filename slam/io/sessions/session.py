@@ -72,12 +72,7 @@ def write_session(directory: Path, session: StoredSession) -> None:
         slam_state.loops.state,
         slam_state.joins.states,
         graph,
-        (
-            session.sigma_range,
-            slam_state.odometry_model.samples,
-            mapper.roughness.samples,
-            session.second_sigma_range,
-        ),
+        (session.noise, slam_state.odometry_model.samples, mapper.roughness.samples, session.second_noise),
         mapper.landmarks.parts,
     )
     write_header(folder / HEADER, header)
@@ -114,11 +109,11 @@ def read_session(path: Path, *, solve: bool = True) -> StoredSession:
         scans=scans.scans,
         odometry=read_odometry(folder / ODOMETRY),
         starts=list(header.segment_starts),
-        sigma_range=header.sensor_models.sigma_range,
+        noise=header.sensor_models.noise,
         recordings=list(header.recordings),
         loop_decisions=read_loop_decisions(folder / LOOP_DECISIONS),
         queued_scans=read_queued_scans(folder / QUEUED_SCANS),
-        second_sigma_range=header.sensor_models.second_sigma_range,
+        second_noise=header.sensor_models.second_noise,
     )
 
 
