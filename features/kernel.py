@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .compiled import compiled, vectorised
+from .compiled import compiled
 from .corner_search import find_corner
 from .curves import remove_curve_corners
 from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
 from .feature_buffers import FeatureBuffers, NoiseEstimate
 from .line_tracking import track_lines
 from .merging import remove_small_segments
+from .noise_estimates import MIN_ADAPT_RAYS, estimate_noise, median_estimate
 from .normal_equations import bearing_variance, get_column
 from .rays import (
     Rays,
@@ -49,8 +50,6 @@ MAX_CHI2 = 4.0
 # edge, and always pull to the same side, so that no number of scans averages it out. Origin: geometry, the spot of one
 # beam crosses an edge.
 TRIMMED_RAYS = 1
-# Minimum number of rays of a line from which the range noise is estimated. Origin: chosen; not measured.
-MIN_ADAPT_RAYS = 15
 
 
 @compiled
@@ -66,77 +65,6 @@ def within_gate(inverse: float, cos: float, sin: float, u: float, v: float, sett
 def lies_on(rays: Rays, ray: int, u: float, v: float, settings: Settings) -> bool:
     """Return True if the ray with index `ray` is within the inlier gate of the line."""
     return within_gate(rays.inverse[ray], rays.cos[ray], rays.sin[ray], u, v, settings)
-
-
-@vectorised
-def sum_residuals(part: RaySlice, u: float, v: float, sigma_range: float, sigma_bearing: float) -> tuple[float, ...]:
-    """Return the sums over the inliers of a line from which the variances of range and bearing are estimated.
-
-    A residual r has variance s p^4 + q t^2 with s the range variance, q that of the bearing, p the predicted 1/rho and
-    t its derivative by the bearing. With weights w = 1 / (s p^4 + q t^2), these are the sums of w^2 p^4 r^2,
-    w^2 t^2 r^2, w^2 p^8, w^2 p^4 t^2, w^2 t^4, and the number of inliers.
-    """
-    range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
-    by_range = by_bearing = ranges = mixed = bearings = used = 0.0
-    for i in range(len(part.inverse)):
-        p, t = u * part.cos[i] + v * part.sin[i], v * part.cos[i] - u * part.sin[i]
-        residual = part.inverse[i] * (1.0 - range_variance * part.inverse[i] * part.inverse[i]) - p
-        quartic, square = p * p * p * p, t * t
-        w = 1.0 / (range_variance * quartic + bearing_variance * square)
-        inlier = 1.0 if w * residual * residual <= INLIER_GATE else 0.0
-        weight = inlier * w * w
-        by_range += weight * quartic * residual * residual
-        by_bearing += weight * square * residual * residual
-        ranges += weight * quartic * quartic
-        mixed += weight * quartic * square
-        bearings += weight * square * square
-        used += inlier
-    return by_range, by_bearing, ranges, mixed, bearings, used
-
-
-@compiled
-def estimate_noise(part: RaySlice, u: float, v: float, settings: Settings, estimate: Floats) -> None:
-    """Write the estimates (4,) of the variances of range and bearing from the residuals of a line, with their weights.
-
-    They are one scoring step on the likelihood, which is stationary at sum w^2 p^4 (r^2 - s p^4 - q t^2) = 0 and
-    sum w^2 t^2 (r^2 - s p^4 - q t^2) = 0; the line takes two of n degrees of freedom. The variance of an estimate is
-    2 / n of its square if n rays determine it while the other is unknown, plus that of surfaces, which differ as much
-    as their noise itself. Its weight is the inverse: at most one.
-    """
-    by_range, by_bearing, ranges, mixed, bearings, used = sum_residuals(
-        part, u, v, settings.sigma_range, settings.sigma_bearing
-    )
-    share = used / max(1.0, used - 2.0)
-    determinant = ranges * bearings - mixed * mixed
-    estimate[:] = 0.0
-    if determinant > 0.0:
-        estimate[0] = share * (by_range * bearings - by_bearing * mixed) / determinant
-        estimate[2] = share * (by_bearing * ranges - by_range * mixed) / determinant
-        range_rays = settings.sigma_range**4 * determinant / bearings
-        bearing_rays = settings.sigma_bearing**4 * determinant / ranges
-        estimate[1], estimate[3] = range_rays / (range_rays + 2.0), bearing_rays / (bearing_rays + 2.0)
-
-
-@compiled
-def median_estimate(estimates: Floats, count: int, column: int) -> tuple[float, float]:
-    """Return the median of the first `count` estimates in a column, weighted by the column after it, and all weight.
-
-    If the weights of two estimates are equally large on both sides, it is their mean; without estimates it is NaN.
-    """
-    total = middle = middles = 0.0
-    for i in range(count):
-        total += estimates[i, column + 1]
-    for i in range(count):
-        below = above = 0.0
-        for k in range(count):
-            if estimates[k, column] < estimates[i, column]:
-                below += estimates[k, column + 1]
-            elif estimates[k, column] > estimates[i, column]:
-                above += estimates[k, column + 1]
-        if max(below, above) <= 0.5 * total:
-            middle += estimates[i, column]
-            middles += 1.0
-    return middle / middles, total
 
 
 @compiled
@@ -176,7 +104,16 @@ def fit_segment(
     used = 0
     for _ in range(REWEIGHTINGS):
         u, v, cuu, cuv, cvv, chi2, used = reweighted(
-            part.inverse, part.cos, part.sin, u, v, settings.sigma_range, settings.sigma_bearing, INLIER_GATE
+            part.inverse,
+            part.cos,
+            part.sin,
+            u,
+            v,
+            settings.sigma_range,
+            settings.sigma_bearing,
+            settings.learned_range,
+            settings.learned_bearing,
+            INLIER_GATE,
         )
         if used < settings.minimum_count or used < MIN_INLIER_SHARE * len(part.inverse):
             return False, False
@@ -193,7 +130,7 @@ def fit_segment(
     if settings.estimator != MAXIMUM_LIKELIHOOD:
         part = select_inliers(part, u, v, settings, buffer)
         u, v, cuu, cuv, cvv = fit_by_code(
-            settings.estimator, part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing
+            settings.estimator, part.inverse, part.cos, part.sin, settings.learned_range, settings.learned_bearing
         )
     cuu += segments.boundary_covariance[0, segment]
     cuv += segments.boundary_covariance[1, segment]
@@ -265,7 +202,7 @@ def extract_features(
     range_min = max(settings.range_min, MIN_RANGE_SIGMAS * settings.sigma_range)
     rays, count = select_rays(ranges, range_min, settings.range_max, grid, ray_buffer)
     if count < settings.minimum_count:
-        return 0, 0, NoiseEstimate(math.nan, 0.0, math.nan, 0.0)
+        return 0, 0, NoiseEstimate(math.nan, 0.0, math.nan, 0.0, math.nan, 0.0)
     step = bearing_step(angles, rays, count)
     mark_breaks(rays, count, step, settings)
     accumulate_sums(rays, count, step, settings)
@@ -283,5 +220,9 @@ def extract_features(
         if before != after and find_corner(rays, count, step, output, before, after, settings, corners):
             corners += 1
     corners = remove_curve_corners(output.corners, output.pairs, output.curved, corners)
-    estimate = NoiseEstimate(*median_estimate(output.noise, estimates, 0), *median_estimate(output.noise, estimates, 2))
+    estimate = NoiseEstimate(
+        *median_estimate(output.noise, estimates, 0),
+        *median_estimate(output.noise, estimates, 2),
+        *median_estimate(output.noise, estimates, 4),
+    )
     return lines, corners, estimate

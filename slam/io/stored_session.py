@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.messages import Scan
-from features import Noise
+from features import LearnedNoise
 
 from ..config import Config
 from ..estimation.refinement import ScanHistory, build_scan_history
@@ -43,11 +43,11 @@ class StoredSession:
     scans: Sequence[ProcessedScan]
     odometry: Sequence[OdometryHistory]
     starts: Sequence[int]
-    noise: Noise
+    noise: LearnedNoise
     recordings: list[Recording] = field(default_factory=list)
     loop_decisions: Sequence[Mapping[str, Any]] = ()
     queued_scans: Sequence[Scan] = ()
-    second_noise: Noise | None = None
+    second_noise: LearnedNoise | None = None
 
     @property
     def latest(self) -> float:

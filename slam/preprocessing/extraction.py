@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from drivers.compiled import is_cached
-from features import Extractor, Noise
+from features import Extractor, LearnedNoise, Noise
 from features.kernel import extract_features
 
 from ..config import FeatureConfig, LidarConfig
 
 
-def build_extractor(lidar: LidarConfig, features: FeatureConfig, noise: Noise | None = None) -> Extractor:
+def build_extractor(lidar: LidarConfig, features: FeatureConfig, learned: LearnedNoise | None = None) -> Extractor:
     """Return the extractor for the scans of a lidar, by the configured methods.
 
-    `noise` is that of a ray if earlier scans have determined it.
+    `learned` is the noise of a ray if earlier scans have determined it.
     """
-    learned = noise if lidar.adapt_noise else None
     return Extractor(
-        learned or Noise(lidar.sigma_range, lidar.sigma_bearing),
-        learned=learned is not None,
+        Noise(lidar.sigma_range, lidar.sigma_bearing),
+        learned=learned,
         method=features.segmentation,
         estimator=features.estimator,
         adapt_noise=lidar.adapt_noise,

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Scan
-from features import Features, Noise
+from features import Features, LearnedNoise
 
 from ..config import FeatureConfig, LidarConfig
 from ..geometry.line_segments import corner_points, segments_from_lines
@@ -52,14 +52,14 @@ class ExtractedScan:
 class LidarFeatures:
     """Feature extraction for the scans of one lidar, with its mount and its noise."""
 
-    def __init__(self, lidar: LidarConfig, features: FeatureConfig, noise: Noise | None = None) -> None:
+    def __init__(self, lidar: LidarConfig, features: FeatureConfig, noise: LearnedNoise | None = None) -> None:
         """`noise` is that of a ray if earlier scans have determined it."""
         self._lidar = lidar
         self._extractor = build_extractor(lidar, features, noise)
         self._noise_settled = noise is not None
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> LearnedNoise:
         """Current estimate of the noise of a ray."""
         return self._extractor.noise
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry, Scan
-from features import Noise
+from features import LearnedNoise
 
 from ..config import Config
 from ..geometry.segments import CornerPoints, Segments
@@ -49,7 +49,9 @@ class ProcessedScan:
 class Preprocessor:
     """Queue of scans that wait for odometry, and the feature extraction."""
 
-    def __init__(self, config: Config, noise: Noise | None = None, second_noise: Noise | None = None) -> None:
+    def __init__(
+        self, config: Config, noise: LearnedNoise | None = None, second_noise: LearnedNoise | None = None
+    ) -> None:
         """`noise` is that of a ray if earlier scans have determined it, `second_noise` that of the second lidar."""
         self._first = LidarFeatures(config.lidar, config.features, noise)
         self._second = LidarFeatures(config.second_lidar, config.features, second_noise)
@@ -64,12 +66,12 @@ class Preprocessor:
         self.scans_without_odometry = 0
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> LearnedNoise:
         """Current estimate of the noise of a ray; of the first lidar if there are two."""
         return self._first.noise
 
     @property
-    def second_noise(self) -> Noise | None:
+    def second_noise(self) -> LearnedNoise | None:
         """The same of the second lidar; None if there is none."""
         return self._second.noise if self.joined_scans or self._second_is_known else None
 

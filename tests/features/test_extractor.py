@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from features import Extractor, Features, Noise
+from features import Extractor, Features, LearnedNoise, Noise
 from features.kernel import TRIMMED_RAYS
 
 NOISE = Noise(0.01, 0.001)
+GIVEN = LearnedNoise(0.01, 0.001, 0.01)
 
 
 def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = NOISE, **options: object) -> Features:
@@ -240,14 +241,26 @@ def test_the_first_scan_settles_most_of_a_wrong_bearing_noise(simulate: Callable
     assert np.median(settled) == pytest.approx(np.radians(0.4), rel=0.5)
 
 
+def test_the_learned_noise_changes_covariances_only(simulate: Callable[..., object]) -> None:
+    scan = simulate(3, beams=500, sigma_range=0.01, sigma_bearing=np.radians(0.2))
+    low, high = (
+        Extractor(NOISE, learned=LearnedNoise(0.01, np.radians(degrees), 0.01)).extract(scan.ranges, scan.angles).lines
+        for degrees in (0.05, 0.4)
+    )
+    np.testing.assert_array_equal(low.uv, high.uv)
+    np.testing.assert_array_equal(low.first, high.first)
+    np.testing.assert_array_equal(low.chi2, high.chi2)
+    assert (np.linalg.eigvalsh(high.covariance - low.covariance) > 0.0).all()
+
+
 def test_a_scan_without_lines_settles_nothing(simulate: Callable[..., object]) -> None:
     angles, extractor = np.linspace(-np.pi, np.pi, 360, endpoint=False), Extractor(NOISE)
     assert not extractor.settle_noise(np.full(360, np.nan), angles)
-    assert extractor.noise == NOISE
+    assert extractor.noise == GIVEN
     scan = simulate(0, beams=500)
     fixed = Extractor(NOISE, adapt_noise=False)
     assert fixed.settle_noise(scan.ranges, scan.angles)
-    assert fixed.noise == NOISE
+    assert fixed.noise == GIVEN
 
 
 def test_quantisation_is_part_of_the_estimated_noise(simulate: Callable[..., object]) -> None:
@@ -270,8 +283,8 @@ def test_estimated_noise_has_a_lower_limit(simulate: Callable[..., object]) -> N
 def test_noise_is_constant_without_adaptation() -> None:
     extractor = Extractor(NOISE, adapt_noise=False)
     angles = np.linspace(-1, 1, 200)
-    assert extractor.extract(square_room(angles, noise=0.03), angles).noise is NOISE
-    assert extractor.noise is NOISE
+    assert extractor.extract(square_room(angles, noise=0.03), angles).noise == GIVEN
+    assert extractor.noise == GIVEN
 
 
 def test_extraction_is_deterministic(simulate: Callable[..., object]) -> None:

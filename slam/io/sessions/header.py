@@ -12,12 +12,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
-from features import Noise
-
-from ...config import LidarConfig
 from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
-from ...geometry.segments import Floats
 from ...graph.factors import GraphState
 from ...localisation.slip_statistics import SlipStatistics
 from ...localisation.tracking import PoseFix, TrackerState
@@ -27,8 +23,7 @@ from ..json_files import read_json
 from .agreement import AgreementRecord, agreement_record
 from .local_field import LocalFieldRecord, local_field_record, local_field_state
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
-
-DATA_SHEET = LidarConfig()  # noise of sessions that were made when the bearing noise was not estimated
+from .sensor_models import SensorModelsRecord
 
 FORMAT = "wclm-slam session"
 SESSION_VERSION = 9
@@ -111,33 +106,6 @@ class _Part(Record):
     measured: bool
 
 
-class _SensorModels(Record):
-    sigma_range: Finite = Field(gt=0.0)
-    sigma_bearing: Finite = Field(default=DATA_SHEET.sigma_bearing, gt=0.0)
-    odometry_samples: list[list[Finite]]
-    roughness_samples: list[Finite]
-    second_sigma_range: Finite | None = Field(default=None, gt=0.0)
-    second_sigma_bearing: Finite | None = Field(default=None, gt=0.0)
-
-    @property
-    def noise(self) -> Noise:
-        """Noise of a ray of the lidar."""
-        return Noise(self.sigma_range, self.sigma_bearing)
-
-    @property
-    def second_noise(self) -> Noise | None:
-        """Noise of a ray of the second lidar; None if there is none."""
-        if self.second_sigma_range is None:
-            return None
-        return Noise(self.second_sigma_range, self.second_sigma_bearing or DATA_SHEET.sigma_bearing)
-
-    @model_serializer(mode="wrap")
-    def _without_second_lidar(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields; that of a second lidar, which few robots have, only if there is one."""
-        fields: dict[str, Any] = serialize(self)
-        return {name: value for name, value in fields.items() if value is not None}
-
-
 class SessionHeader(Record):
     """Contents of `session.json`.
 
@@ -157,7 +125,7 @@ class SessionHeader(Record):
     checkpoint: _Checkpoint
     agreement: AgreementRecord
     graph: _Graph
-    sensor_models: _SensorModels
+    sensor_models: SensorModelsRecord
     parts: list[_Part] = Field(default_factory=list)
     joins: dict[int, AgreementRecord] = Field(default_factory=dict)
 
@@ -176,30 +144,21 @@ class SessionHeader(Record):
         loops: LoopAgreementState,
         joins: Mapping[int, LoopAgreementState],
         graph: GraphState,
-        sensor_models: tuple[Noise, Floats, Floats, Noise | None],
+        sensor_models: SensorModelsRecord,
         parts: MapParts,
     ) -> SessionHeader:
         """Make the header of a session.
 
-        loops, joins   state of the search for loops, and of those for joins, by the group of parts that is searched
-        sensor_models  noise of a ray, samples of the odometry model (n, 6) and of the wall roughness (m,), noise of a
-                       ray of the second lidar, None if there is none
+        `loops` and `joins` are the state of the search for loops, and of those for joins, by the group of parts that is
+        searched.
         """
-        noise, odometry_samples, roughness_samples, second_noise = sensor_models
         return cls(
             recordings=recordings,
             segment_starts=segment_starts,
             checkpoint=_checkpoint_record(checkpoint),
             agreement=agreement_record(loops),
             graph=_Graph(updates=graph.updates, qr=graph.qr, range_bias=graph.bias, waiting=graph.waiting),
-            sensor_models=_SensorModels(
-                sigma_range=noise.sigma_range,
-                sigma_bearing=noise.sigma_bearing,
-                odometry_samples=odometry_samples.tolist(),
-                roughness_samples=roughness_samples.tolist(),
-                second_sigma_range=None if second_noise is None else second_noise.sigma_range,
-                second_sigma_bearing=None if second_noise is None else second_noise.sigma_bearing,
-            ),
+            sensor_models=sensor_models,
             parts=_part_records(parts),
             joins={group: agreement_record(state) for group, state in joins.items()} if parts.apart else {},
         )

@@ -31,6 +31,7 @@ from .odometry import read_odometry, write_odometry
 from .queued_scans import read_queued_scans, write_queued_scans
 from .references import check_factors, check_landmarks, check_variables
 from .scans import ScanRecords, read_scans, write_recent_keyframes, write_scans
+from .sensor_models import SensorModelsRecord
 
 HEADER = "session.json"
 SCANS = "scans.parquet"
@@ -72,7 +73,9 @@ def write_session(directory: Path, session: StoredSession) -> None:
         slam_state.loops.state,
         slam_state.joins.states,
         graph,
-        (session.noise, slam_state.odometry_model.samples, mapper.roughness.samples, session.second_noise),
+        SensorModelsRecord.from_models(
+            session.noise, slam_state.odometry_model.samples, mapper.roughness.samples, session.second_noise
+        ),
         mapper.landmarks.parts,
     )
     write_header(folder / HEADER, header)

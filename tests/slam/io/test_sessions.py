@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from drivers import se2
 from drivers.simulation import Simulation
-from features import Noise
+from features import LearnedNoise
 from slam import Slam
 from slam.config import Config, LidarConfig, config_to_toml
 from slam.errors import MapError, SlamError
@@ -375,9 +375,10 @@ def test_the_noise_of_rays_is_kept(written: tuple[StoredSession, Path], tmp_path
     assert read_session(path).noise == session.noise
     header = path / SESSION / HEADER
     data = json.loads(header.read_text())
-    del data["sensor_models"]["sigma_bearing"]
+    del data["sensor_models"]["sigma_bearing"], data["sensor_models"]["segmentation_range"]
     header.write_text(json.dumps(data))
-    assert read_session(path).noise == Noise(session.noise.sigma_range, LidarConfig().sigma_bearing)
+    sigma_range = session.noise.sigma_range
+    assert read_session(path).noise == LearnedNoise(sigma_range, LidarConfig().sigma_bearing, sigma_range)
 
 
 @pytest.mark.parametrize("value", [0.0, -0.01])
