@@ -133,8 +133,8 @@ class MappingConfig(_Group):
     known_spacing: Finite = Field(
         1.0,
         ge=1,
-        description="factor by which keyframes are farther apart where nine tenths of a scan are mapped; 2 saves a "
-        "third of the processor time in offices",
+        description="factor by which keyframes are farther apart where nine tenths of a scan are mapped; 2 saves "
+        "some fifth of the processor time in offices",
     )
 
 
