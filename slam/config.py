@@ -134,7 +134,7 @@ class MappingConfig(_Group):
         1.0,
         ge=1,
         description="factor by which keyframes are farther apart where nine tenths of a scan are mapped; 2 saves "
-        "some fifth of the processor time in offices",
+        "about a fifth of the processor time in offices",
     )
 
 

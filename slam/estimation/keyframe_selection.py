@@ -20,7 +20,7 @@ from .slam_state import Anchor, SlamState
 
 # Share of a scan's points that lie on known surfaces below which the map lacks a considerable part of what is seen.
 # Origin: measured. In offices 10 to 25 % of the scans show less, in mines, halls and outdoors more than half. With
-# keyframes at twice the distance these are lost, while offices are mapped equally well.
+# keyframes at twice the distance everywhere, robots get lost there, while offices are mapped equally well.
 MIN_EXPLAINED = 0.9
 
 

@@ -66,8 +66,8 @@ class TrackingCheckpoint:
     field                state of the local field
     anchor               reference of the next motion; None before the first keyframe
     kidnapped            True if the robot was moved since the anchor without odometry noticing
-    slipped              True if odometry has contradicted the scans since the anchor
     kidnapped_keyframes  keyframes reached in this way
+    learned_until        end of the last motion that was learned from, if it is not the anchor
     """
 
     tracker: TrackerState | None
@@ -75,6 +75,7 @@ class TrackingCheckpoint:
     anchor: Anchor | None
     kidnapped: bool
     kidnapped_keyframes: Sequence[int]
+    learned_until: Anchor | None = None
 
 
 class SlamState:
@@ -149,7 +150,8 @@ class SlamState:
         state.odometry_model.add_samples(odometry_samples)
         state.mapper, state.trajectory, state.keyframe_stamps = mapper, trajectory, list(stamps)
         state.steps, state.keyframe_steps = len(stamps), list(range(len(stamps)))
-        state.anchor, state.kidnapped = checkpoint.anchor, checkpoint.kidnapped
+        state.anchor, state.learned_until = checkpoint.anchor, checkpoint.learned_until
+        state.kidnapped = checkpoint.kidnapped
         state.kidnapped_keyframes = list(checkpoint.kidnapped_keyframes)
         if checkpoint.tracker is not None:
             state.tracker.restore(checkpoint.tracker)
@@ -174,7 +176,9 @@ class SlamState:
     def checkpoint(self) -> TrackingCheckpoint:
         """Tracking state to be stored in a session."""
         kidnapped = tuple(self.kidnapped_keyframes)
-        return TrackingCheckpoint(self.tracker.state, self.local_field.state, self.anchor, self.kidnapped, kidnapped)
+        return TrackingCheckpoint(
+            self.tracker.state, self.local_field.state, self.anchor, self.kidnapped, kidnapped, self.learned_until
+        )
 
     @property
     def lost(self) -> bool:

@@ -91,6 +91,13 @@ class _Checkpoint(Record):
     anchor: _Anchor | None
     kidnapped: bool
     kidnapped_keyframes: list[int]
+    learned_until: _Anchor | None = None
+
+    @model_serializer(mode="wrap")
+    def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; `learned_until` only between keyframes that are farther apart than the motions learned."""
+        fields: dict[str, Any] = serialize(self)
+        return fields if self.learned_until else {n: v for n, v in fields.items() if n != "learned_until"}
 
 
 class _Graph(Record):
@@ -193,17 +200,14 @@ class SessionHeader(Record):
     @property
     def tracking_checkpoint(self) -> TrackingCheckpoint:
         """State of tracking."""
-        tracker, anchor = self.checkpoint.tracker, self.checkpoint.anchor
+        tracker = self.checkpoint.tracker
         return TrackingCheckpoint(
             None if tracker is None else _tracker_state(tracker),
             local_field_state(self.checkpoint.field),
-            None
-            if anchor is None
-            else Anchor(
-                anchor.keyframe, np.array(anchor.relative), np.array(anchor.covariance), np.array(anchor.odometry)
-            ),
+            _anchor(self.checkpoint.anchor),
             self.checkpoint.kidnapped,
             self.checkpoint.kidnapped_keyframes,
+            _anchor(self.checkpoint.learned_until),
         )
 
 
@@ -240,21 +244,32 @@ def _tracker_state(record: _Tracker) -> TrackerState:
 
 
 def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
-    tracker, anchor = checkpoint.tracker, checkpoint.anchor
+    tracker = checkpoint.tracker
     return _Checkpoint(
         tracker=None if tracker is None else _tracker_record(tracker),
         field=local_field_record(checkpoint.field),
-        anchor=None
-        if anchor is None
-        else _Anchor(
-            keyframe=anchor.keyframe,
-            relative=to_pose(anchor.relative),
-            covariance=to_matrix(anchor.covariance),
-            odometry=to_pose(anchor.odometry),
-        ),
+        anchor=_anchor_record(checkpoint.anchor),
         kidnapped=checkpoint.kidnapped,
         kidnapped_keyframes=list(checkpoint.kidnapped_keyframes),
+        learned_until=_anchor_record(checkpoint.learned_until),
     )
+
+
+def _anchor_record(anchor: Anchor | None) -> _Anchor | None:
+    if anchor is None:
+        return None
+    return _Anchor(
+        keyframe=anchor.keyframe,
+        relative=to_pose(anchor.relative),
+        covariance=to_matrix(anchor.covariance),
+        odometry=to_pose(anchor.odometry),
+    )
+
+
+def _anchor(record: _Anchor | None) -> Anchor | None:
+    if record is None:
+        return None
+    return Anchor(record.keyframe, np.array(record.relative), np.array(record.covariance), np.array(record.odometry))
 
 
 def _part_records(parts: MapParts) -> list[_Part]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ import pytest
 from drivers import se2
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation, load_world
 from slam import Slam
-from slam.config import Config
+from slam.config import Config, config_to_toml
 from slam.estimation.keyframe_selection import MIN_EXPLAINED, is_due
 from slam.estimation.slam_state import Anchor, SlamState
+from slam.io.sessions import read_session, write_session
 from slam.matching.point_matcher import Prediction
 
 from ..tracking_results import tracking_result
@@ -52,4 +54,24 @@ def test_odometry_is_learned_between_keyframes_too() -> None:
     for message in Simulation(load_world("office"), 3, 60.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
         slam.add(message)
     state = slam.slam_state
-    assert len(state.odometry_model.samples) > 1.2 * state.mapper.keyframe_count
+    samples = state.odometry_model.samples
+    assert len(samples) > 1.2 * state.mapper.keyframe_count
+    assert np.abs(samples[:, :2] - samples[:, 3:5]).max() < 0.05  # odometry and scans measured the same motion
+
+
+def test_where_learning_stopped_is_kept_with_a_session(tmp_path: Path) -> None:
+    slam = Slam(CONFIG)
+    for message in Simulation(load_world("office"), 3, 60.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
+        slam.add(message)
+        if slam.slam_state.learned_until is not None:
+            break
+    slam.finish()
+    expected = slam.slam_state.learned_until
+    assert expected is not None
+    (tmp_path / "config.toml").write_text(config_to_toml(CONFIG))
+    write_session(tmp_path, slam.session)
+    restored = read_session(tmp_path).slam_state.learned_until
+    assert restored is not None
+    assert restored.keyframe == expected.keyframe
+    for field in ("relative", "covariance", "odometry"):
+        np.testing.assert_array_equal(getattr(restored, field), getattr(expected, field))
