@@ -128,13 +128,13 @@ class FeatureConfig(_Group):
 class MappingConfig(_Group):
     """When a scan becomes a keyframe. The CPU time goes with the number of keyframes."""
 
-    keyframe_distance: Finite = Field(0.33, gt=0, description="metres driven between two keyframes")
-    keyframe_turn: Finite = Field(math.radians(10.0), gt=0, description="radians turned between two keyframes")
-    known_spacing: Finite = Field(
-        1.0,
-        ge=1,
-        description="factor by which keyframes are farther apart where nine tenths of a scan are mapped; 2 saves "
-        "about a fifth of the processor time in offices",
+    keyframe_distance: Finite = Field(
+        0.66,
+        gt=0,
+        description="metres driven between two keyframes; half of it where more than a tenth of a scan is new",
+    )
+    keyframe_turn: Finite = Field(
+        math.radians(20.0), gt=0, description="radians turned between two keyframes; half of it likewise"
     )
 
 

@@ -62,6 +62,8 @@ STEP = 0.1
 """Distance between scans, metres."""
 INTERVAL = 0.1
 """Time between scans, seconds."""
+CONFIG = Config.model_validate({"mapping": {"keyframe_distance": 3 * STEP}})
+"""Default settings, with so many keyframes that a drive through a small room calls everything."""
 
 
 def warm_up() -> None:
@@ -72,7 +74,7 @@ def warm_up() -> None:
         processes = [subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]) for part in parts]
         for process in processes:
             process.wait()
-    slam = Slam()
+    slam = Slam(CONFIG)
     for message in _drive():
         slam.add(message)
     mapper = slam.slam_state.mapper
@@ -105,7 +107,7 @@ def compile_preprocessing() -> None:
 
 def compile_estimation() -> None:
     """Compile what estimates path and map from features, which are made up here."""
-    state = SlamState(Config())
+    state = SlamState(CONFIG)
     estimator, scans = Estimator(state), []
     for message in _drive():
         if isinstance(message, Odometry):

@@ -21,7 +21,7 @@ WITH_PICTURES = {
         ["<sim:room: 6 walls", "m apart, standard deviation", "room 1: 26."],
         'class="dimensions"',
     ),
-    "own_factors.py": ([], ["by odometry the mark is 20.2", "by the tape 19.", "with both 19."], "<polyline"),
+    "own_factors.py": ([], ["by odometry the mark is 20.6", "by the tape 20.1", "with both 20.1"], "<polyline"),
 }
 """Arguments before the name of the picture that an example writes, expected texts, and an element of the picture."""
 

@@ -54,7 +54,8 @@ class _Commands(TyperGroup):
             if error.ctx is None or not text:  # a group of commands without arguments, which has printed its help
                 raise
             text = text.replace("Value error, ", "")  # a prefix of pydantic, which says nothing
-            print_message(f"{text.rstrip('.')}; see {error.ctx.command_path} --help")
+            separator = "" if text.endswith("?") else ";"
+            print_message(f"{text.rstrip('.')}{separator} see {error.ctx.command_path} --help")
             raise typer.Exit(EXIT_USER_ERROR) from error
         except SlamError as error:
             print_message(str(error))

@@ -4,8 +4,9 @@ A scan that does not fit begins a new part of the map at once, but one scan is w
 the robot change the view as much as being carried does. So the state from before is kept, and tracks the next scans as
 well. In the right part of the map nearly each scan fits where odometry predicts it, elsewhere nearly none. The
 sequential test of Wald for two such probabilities p and 1 - p counts the scans that fit minus those that do not; it
-is decided at a margin n with an error probability of about ((1 - p) / p)^n. Scans count at the distance of keyframes:
-those of a robot that stands repeat each other. A test of a robot that stands ends like the monitoring of a closure.
+is decided at a margin n with an error probability of about ((1 - p) / p)^n. Scans count at the smaller distance of
+keyframes: those of a robot that stands repeat each other. A test of a robot that stands ends like the monitoring of a
+closure.
 
 Tracking accepts scans of which only half of the points fit, as around people. Where little of the map is in view, one
 scan after the other may fit as poorly as that elsewhere, too. So a poor fit says nothing.
@@ -22,6 +23,7 @@ from ..matching.point_matcher import MIN_KNOWN_POINTS
 from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import MONITORED_SCANS, ClosureMonitor
+from .keyframe_selection import CLOSE_SHARE
 from .scan_update import extend_trajectory, track
 from .slam_state import SlamState
 from .stage_timer import StageTimer
@@ -58,9 +60,9 @@ class EarlierPart:
         return tracking
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
-        """Add the evidence of a scan if the robot has driven the distance of keyframes since the last one."""
+        """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""
         travel = np.inf if self._counted is None else float(wheel_travel(se2.between(self._counted, odometry)))
-        if not evidence or travel < self.state.config.mapping.keyframe_distance:
+        if not evidence or travel < CLOSE_SHARE * self.state.config.mapping.keyframe_distance:
             return
         self._travelled += 0.0 if self._counted is None else travel
         self._balance = max(self._balance + evidence, -DECIDING_MARGIN)

@@ -53,7 +53,7 @@ def _assign_walls(
             ids[i] = local_map.walls[row]
             landmarks.observe_wall(int(ids[i]), frames[i], segments.half_length[i], keyframe, in_map)
         elif row == UNMATCHED:
-            ids[i] = landmarks.add_wall(frames[i], segments.half_length[i], keyframe)
+            ids[i] = landmarks.add_wall(frames[i], segments.half_length[i], keyframe, in_map)
     return ids
 
 

@@ -19,7 +19,16 @@ from ..geometry.segments import Floats, Integers
 from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, WALL_DTYPE, LandmarkTable
 from .map_parts import MapParts
 from .near_landmarks import NO_KEYFRAME, near_corners, near_walls
-from .wall_cells import WALL_CELL, cells_between, cells_of, latest_openings, pieces_of, still_covered, trimmed
+from .wall_cells import (
+    WALL_CELL,
+    cells_between,
+    cells_of,
+    latest_openings,
+    observed_cells,
+    pieces_of,
+    still_covered,
+    trimmed,
+)
 
 
 class Landmarks:
@@ -67,10 +76,13 @@ class Landmarks:
 
     # --- observations
 
-    def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int) -> int:
-        """Add a wall first observed by a keyframe, with its `frame` at its centre, and return its id."""
+    def add_wall(self, frame: se2.Pose, half_length: float, keyframe: int, points: Floats | None = None) -> int:
+        """Add a wall first observed by a keyframe, with its `frame` at its centre, and return its id.
+
+        points  see `observe_wall`
+        """
         wall = len(self.walls)
-        self.covered.append(cells_between(-half_length, half_length))
+        self.covered.append(_covered_by(frame, half_length, 0.0, points))
         return self.walls.append(
             frame=frame,
             low=-half_length,
@@ -93,15 +105,15 @@ class Landmarks:
     ) -> None:
         """Record that a keyframe observed a known wall as a segment with its centre at `frame` in the map.
 
-        Extends the wall to the ends of the segment. `points` (p, 2) are those of the scan, in the map: openings are
-        closed only where points lie. At grazing incidence, a line passes a door without a beam in between. None if
-        they are not known: the segment closes what it covers.
+        Extends the wall to the ends of the segment. `points` (p, 2) are those of the scan, in the map: cells are
+        covered where they lie closely, and openings are closed only where there are any. None or empty if they are not
+        known: all between the ends of the segment is covered.
         """
         row = self.walls.rows[wall]
         along = float(se2.between(row["frame"], frame)[0])
         low, high = along - half_length, along + half_length
         row["low"], row["high"] = min(row["low"], low), max(row["high"], high)
-        cells = cells_between(low, high)
+        cells = _covered_by(frame, half_length, along, points)
         if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
             cells = still_covered(cells, self.opened[wall], keyframe)
             cells = self._without_openings(wall, cells, points)
@@ -286,3 +298,10 @@ class Landmarks:
     def _connected(self, near: Integers, last_seen: Integers, keyframe: int | None) -> Integers:
         """Return those of some landmarks that are connected with a keyframe; see `connected`."""
         return near[self.parts.connected(last_seen[near], keyframe)] if len(self.parts) > 1 else near
+
+
+def _covered_by(frame: se2.Pose, half_length: float, along: float, points: Floats | None) -> frozenset[int]:
+    """Return the cells of a wall that a segment covers; arguments as for `observe_wall` and `observed_cells`."""
+    if points is None or not len(points):
+        return cells_between(along - half_length, along + half_length)
+    return observed_cells(frame, half_length, along, points)

@@ -287,6 +287,10 @@ class Mapper(MappedKeyframes):
         """
         return self.free_space_evidence.update(self.landmarks, pose, points, self.travelled, self.pose_covariances)
 
+    def count_walls_seen_through(self, pose: se2.Pose, points: Floats) -> None:
+        """Add the free-space evidence of a scan between keyframes, whose walls the graph may still wait for."""
+        self.free_space_evidence.count(self.landmarks, pose, points, self.travelled, self.pose_covariances)
+
     def solve(self) -> list[int]:
         """Solve in batch all keyframes added to an empty mapper with `add_keyframe_with_ids`, and read all back.
 

@@ -10,6 +10,9 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from drivers import se2
+from drivers.compiled import compiled
+
 from ..geometry.segments import Floats
 from .landmark_table import NEVER_REMOVED
 
@@ -25,6 +28,41 @@ MIN_GAP_BETWEEN_PIECES = 0.5
 def cells_between(low: float, high: float) -> frozenset[int]:
     """Return the cells that lie entirely between two positions along a wall (metres)."""
     return frozenset(range(math.ceil(low / WALL_CELL), math.floor(high / WALL_CELL)))
+
+
+def observed_cells(frame: se2.Pose, half_length: float, along: float, points: Floats) -> frozenset[int]:
+    """Return the cells of a wall that a scan observed.
+
+    A line is also fitted across a door, at grazing incidence even without a beam through it. So cells between two
+    neighbouring points farther apart than MIN_GAP_BETWEEN_PIECES were not observed.
+
+    frame   of the segment in the map, at its centre, which is `along` metres from the frame of the wall
+    points  (p, 2) of the scan, in the map
+    """
+    first = math.ceil((along - half_length) / WALL_CELL)
+    observed = _observed(np.ascontiguousarray(points), frame, half_length, WALL_CELL * first - along)
+    return frozenset((first + observed.nonzero()[0]).tolist())
+
+
+@compiled
+def _observed(points, frame, half, start):  # type: ignore[no-untyped-def]
+    """Return which cells between the ends of a segment were observed; the first begins at `start` from its centre."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    positions = np.empty(len(points) + 2)
+    positions[0], positions[1], count = -half, half, 2
+    for k in range(len(points)):
+        x, y = points[k, 0] - frame[0], points[k, 1] - frame[1]
+        along = c * x + s * y
+        if abs(c * y - s * x) < ON_WALL_DISTANCE and abs(along) < half:
+            positions[count] = along
+            count += 1
+    positions = np.sort(positions[:count])
+    observed = np.ones(max(0, math.floor((half - start) / WALL_CELL)), dtype=np.bool_)
+    for k in range(count - 1):
+        if positions[k + 1] - positions[k] > MIN_GAP_BETWEEN_PIECES:
+            begin = max(0, math.ceil((positions[k] - start) / WALL_CELL))
+            observed[begin : max(begin, math.floor((positions[k + 1] - start) / WALL_CELL))] = False
+    return observed
 
 
 def pieces_of(covered: frozenset[int], low: float, high: float) -> Floats:

@@ -96,24 +96,39 @@ class FreeSpaceEvidence:
         travelled         metres driven up to each keyframe
         pose_covariances  (k, 3, 3) of all keyframes, in the map's axes
         """
+        counted = self.count(landmarks, pose, points, travelled, pose_covariances)
+        changed = [self._remove_or_open(landmarks, wall, len(travelled) - 1) for wall in counted]
+        return any(changed)
+
+    def count(
+        self,
+        landmarks: Landmarks,
+        pose: se2.Pose,
+        points: Floats,
+        travelled: Sequence[float],
+        pose_covariances: Floats,
+    ) -> list[int]:
+        """Add the evidence of a scan, with arguments as for `update`. Return the walls that it sees through.
+
+        They are removed by the next `update` with a scan that sees through them, if the evidence suffices.
+        """
         if travelled[-1] - self._suspended_at < SUSPENSION_DISTANCE:
-            return False
+            return []
         if self._last_position is not None and np.hypot(*(pose[:2] - self._last_position)) < MIN_STEP:
-            return False
+            return []
         self._last_position = pose[:2].copy()
         view = walls_in_view(landmarks, pose, np.ascontiguousarray(points))
         for row, wall in enumerate(view.walls.tolist()):
             if wall in self.counts and view.length[row]:
                 self._count_seen(wall, view.cells(row, view.seen))
         through = cells_seen_through(view, landmarks, pose, pose_covariances)
-        changed = False
+        walls = []
         for row in _supported(view, through, travelled):
-            wall = int(view.walls[row])
-            counts = self.counts.setdefault(wall, {})
+            walls.append(int(view.walls[row]))
+            counts = self.counts.setdefault(walls[-1], {})
             for cell in through[row]:
                 counts[cell] = counts.get(cell, 0) + 1
-            changed |= self._remove_or_open(landmarks, wall, len(travelled) - 1)
-        return changed
+        return walls
 
     def _count_seen(self, wall: int, cells: Integers) -> None:
         """Reduce the counts of cells on which points were seen."""

@@ -305,7 +305,7 @@ def test_loop_closure_can_be_switched_off(drive: list[Message]) -> None:
 
 
 def test_keyframes_are_as_far_apart_as_configured(drive: list[Message], drive_result: Finished) -> None:
-    wide = Config.model_validate({"mapping": {"keyframe_distance": 1.0, "keyframe_turn": 0.5}})
+    wide = Config.model_validate({"mapping": {"keyframe_distance": 1.5, "keyframe_turn": 1.0}})
     finished = run(drive, wide)
     assert len(finished.keyframes) < 0.6 * len(drive_result.keyframes)
     assert error(finished, drive) < 0.012

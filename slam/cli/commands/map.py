@@ -144,16 +144,16 @@ def _write_graph(file: Path, session: Path) -> str:
 
 
 def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
-    """Return the scans of the recording in the map, or the points of the keyframes if the run was not recorded."""
-    from ...io.exports import place_keyframes, place_scans
+    """Return the scans of the recording in the map, or those that the session keeps if the run was not recorded."""
+    from ...io.exports import place_scans, place_stored_scans
     from ...io.recordings import has_recording, open_recording
     from ...io.sessions import is_session, read_session
 
     if recording is None and not has_recording(session) and is_session(session.path):
         stored = read_session(session.path)
         if stored.slam_state.mapper.keyframe_count:
-            print_message(f"{session.path}: the run was not recorded; only the points of its keyframes are used")
-            return place_keyframes(stored, session.trajectory, session.mounts()[:, :2])
+            print_message(f"{session.path}: the run was not recorded; the points that its session keeps are used")
+            return place_stored_scans(stored, session.trajectory, session.mounts()[:, :2])
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
     return place_scans(messages, session.trajectory, session.config())

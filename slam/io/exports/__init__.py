@@ -1,7 +1,7 @@
 """Export maps to other programs' formats, one module per format.
 
 GeoJSON, SVG and DXF are made from the results of a run alone. PGM and PLY are made from its scans, placed on the final
-trajectory, and need the recording as well; without one they are made from the points of the keyframes.
+trajectory, and need the recording as well; without one they are made from the points that the session keeps.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .dxf import write_dxf
     from .geojson import write_geojson
-    from .keyframe_points import place_keyframes
+    from .keyframe_points import place_stored_scans
     from .occupancy import Occupancy, OccupancyGrid, Thresholds
     from .pgm import write_pgm, write_pgm_yaml
     from .ply import write_ply
@@ -24,8 +24,8 @@ __all__ = [
     "OccupancyGrid",
     "PlacedScan",
     "Thresholds",
-    "place_keyframes",
     "place_scans",
+    "place_stored_scans",
     "write_dxf",
     "write_geojson",
     "write_pgm",
@@ -39,7 +39,7 @@ _MODULES = {
     "OccupancyGrid": "occupancy",
     "PlacedScan": "scan_placement",
     "Thresholds": "occupancy",
-    "place_keyframes": "keyframe_points",
+    "place_stored_scans": "keyframe_points",
     "place_scans": "scan_placement",
     "write_dxf": "dxf",
     "write_geojson": "geojson",

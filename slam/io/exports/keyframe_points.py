@@ -1,4 +1,4 @@
-"""Returns of keyframes, placed in the map with the beams that have measured them."""
+"""Returns of stored scans, placed in the map with the beams that have measured them."""
 
 from __future__ import annotations
 
@@ -51,15 +51,15 @@ class KeyframePoints:
             yield PlacedScan(self.stamp, se2.transform(pose, lidar), se2.transform(pose, own))
 
 
-def place_keyframes(session: StoredSession, trajectory: Trajectory, lidars: Floats) -> Iterator[PlacedScan]:
-    """Yield the returns of a session's keyframes on the finished `trajectory`, which has a pose at each scan.
+def place_stored_scans(session: StoredSession, trajectory: Trajectory, lidars: Floats) -> Iterator[PlacedScan]:
+    """Yield the returns of the scans that a session keeps, on the finished `trajectory`, which has a pose at each scan.
 
     lidars  (k, 2) positions of the lidars on the base
     """
     path = OdometryHistory()
     for stamp, pose in zip(trajectory.stamps.tolist(), trajectory.poses, strict=True):
         path.add(Odometry(stamp, pose))
-    for row in session.scan_history().keyframes.tolist():
+    for row in np.flatnonzero(session.scan_history().has_features).tolist():
         scan = session.scans[row]
         yield from KeyframePoints.within(scan.stamp, scan.features.points.xy, lidars).placed(path.at(scan.stamp))
 

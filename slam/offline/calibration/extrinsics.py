@@ -39,6 +39,8 @@ MIN_PAIRS = 20
 """Pairs of keyframes, and odometry readings, for an estimate of six unknowns; fewer are no better than a ruler."""
 MIN_TOTAL_TURN = 3.0
 """Radians turned in total; with less, x and y of the mount and the scale of turns are undetermined."""
+KEYFRAME_SHARE = 0.5
+"""Distance and turn between keyframes, as a share of those configured: a drive of some metres has enough pairs."""
 ROBUST_SIGMAS = 3.0
 """Standard deviations from which on residuals are down-weighted: a scan may be registered wrongly, a wheel may slip."""
 NORMAL_MAD = 1.4826
@@ -98,9 +100,14 @@ def calibrate(messages: Iterable[Message], config: Config | None = None) -> Cali
     MapError if there is no map or too little motion.
     """
     config = config or Config()
-    delay = config.lidar.delay or 0.0
+    delay, mapping = config.lidar.delay or 0.0, config.mapping
     drive = [delay_odometry(message, delay) for message in messages if not isinstance(message, GroundTruth)]
-    config = config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": None})})
+    dense = {
+        "keyframe_distance": KEYFRAME_SHARE * mapping.keyframe_distance,
+        "keyframe_turn": KEYFRAME_SHARE * mapping.keyframe_turn,
+    }
+    lidar = config.lidar.model_copy(update={"delay": None})
+    config = config.model_copy(update={"lidar": lidar, "mapping": mapping.model_copy(update=dense)})
     mount = _initial_mount(drive, config)
     correction = OdometryCorrection()
     bias = config.lidar.range_bias

@@ -199,7 +199,7 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses("correct", session, "--tie", "0", because=["two identities"])
     wclm.refuses("correct", session, "--close", "1", because=["no loop 1"])
     wclm.refuses("correct", session, "--forbid-loop", 1, because=["no loop 1"])
-    wclm.refuses("correct", session, "--close", "0,40", because=["m of driving apart"])
+    wclm.refuses("correct", session, "--close", "0,20", because=["m of driving apart"])
     wclm.refuses("correct", session, "--close", "0,4000", because=["no keyframe 4000"])
     wclm.refuses("correct", session, "--close", "1s,4000s", because=["4000 s: there is no keyframe"])
     wclm.refuses("correct", session, "--close", "1s,nans", because=["--close", "two stamps"])

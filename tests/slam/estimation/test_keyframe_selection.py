@@ -1,4 +1,4 @@
-"""Which scans become keyframes, and from which motions the errors of odometry are learned."""
+"""Which scans become keyframes, and what is learned from those between them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers import se2
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation, load_world
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.estimation.keyframe_selection import MIN_EXPLAINED, is_due
+from slam.estimation.keyframe_selection import CLOSE_SHARE, MIN_EXPLAINED, is_due
 from slam.estimation.slam_state import Anchor, SlamState
 from slam.io.sessions import read_session, write_session
 from slam.matching.point_matcher import Prediction
@@ -20,13 +20,12 @@ from slam.matching.point_matcher import Prediction
 from ..tracking_results import tracking_result
 
 ANCHOR = np.array([1.0, 2.0, math.pi / 2])
-CONFIG = Config.model_validate({"mapping": {"known_spacing": 2.0}})
-MAPPING = CONFIG.mapping
+MAPPING = Config().mapping
 
 
 def due(motion: se2.Pose, explained: float) -> bool:
     """Return True if a scan is due that is predicted at `motion` from the anchor, and of which a share is mapped."""
-    state = SlamState(CONFIG)
+    state = SlamState(Config())
     state.mapper.keyframe_poses = ANCHOR[None]
     state.set_anchor(Anchor(0, np.zeros(3), np.zeros((3, 3)), np.zeros(3)))
     predicted = Prediction(se2.compose(ANCHOR, motion), np.eye(3))
@@ -38,11 +37,12 @@ def due(motion: se2.Pose, explained: float) -> bool:
     [[MAPPING.keyframe_distance, 0.0, 0.0], [0.0, -MAPPING.keyframe_distance, 0.0], [0.0, 0.0, -MAPPING.keyframe_turn]],
     ids=["ahead", "aside", "turning"],
 )
-def test_keyframes_are_farther_apart_where_little_is_new(step: list[float]) -> None:
+def test_keyframes_are_closer_where_much_is_new(step: list[float]) -> None:
     motion = np.array(step)
-    for factor, explained in ((2.0, 1.0), (2.0, MIN_EXPLAINED), (1.0, MIN_EXPLAINED - 0.01), (1.0, 0.0)):
-        assert not due(0.99 * factor * motion, explained)
-        assert due(1.01 * factor * motion, explained)
+    shares = {1.0: 1.0, MIN_EXPLAINED: 1.0, MIN_EXPLAINED - 0.01: CLOSE_SHARE, 0.0: CLOSE_SHARE}
+    for explained, share in shares.items():
+        assert not due(0.99 * share * motion, explained)
+        assert due(1.01 * share * motion, explained)
 
 
 def test_the_first_scan_is_due() -> None:
@@ -50,7 +50,7 @@ def test_the_first_scan_is_due() -> None:
 
 
 def test_odometry_is_learned_between_keyframes_too() -> None:
-    slam = Slam(CONFIG)
+    slam = Slam()
     for message in Simulation(load_world("office"), 3, 60.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
         slam.add(message)
     state = slam.slam_state
@@ -60,7 +60,7 @@ def test_odometry_is_learned_between_keyframes_too() -> None:
 
 
 def test_where_learning_stopped_is_kept_with_a_session(tmp_path: Path) -> None:
-    slam = Slam(CONFIG)
+    slam = Slam()
     for message in Simulation(load_world("office"), 3, 60.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
         slam.add(message)
         if slam.slam_state.learned_until is not None:
@@ -68,7 +68,7 @@ def test_where_learning_stopped_is_kept_with_a_session(tmp_path: Path) -> None:
     slam.finish()
     expected = slam.slam_state.learned_until
     assert expected is not None
-    (tmp_path / "config.toml").write_text(config_to_toml(CONFIG))
+    (tmp_path / "config.toml").write_text(config_to_toml(Config()))
     write_session(tmp_path, slam.session)
     restored = read_session(tmp_path).slam_state.learned_until
     assert restored is not None

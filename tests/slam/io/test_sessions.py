@@ -118,7 +118,7 @@ def test_agreement_on_a_loop_is_read_back(written: tuple[StoredSession, Path], t
     """What was looked at and found so far is kept, so that a continued run closes the same loops."""
     session = read_session(written[1])
     random, state = np.random.default_rng(0), session.slam_state
-    match = LoopMatch(4, 1, random.normal(size=3), np.diag([0.01, 0.02, 0.003]), 1.25, 0.9, 0.7)
+    match = LoopMatch(3, 1, random.normal(size=3), np.diag([0.01, 0.02, 0.003]), 1.25, 0.9, 0.7)
     place = OldPlace(np.array([0, 1, 2]), random.normal(size=(3, 3)))
     hypotheses = [LoopHypothesis(random.normal(size=3), [match], [0.5]), LoopHypothesis(random.normal(size=3), [match])]
     expected = LoopAgreementState(

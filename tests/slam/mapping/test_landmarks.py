@@ -12,6 +12,7 @@ from slam.mapping.local_map import _wall_drifts, empty_local_map, local_map_arou
 from slam.mapping.near_landmarks import BEHIND_MARGIN, near_corners, near_walls
 from slam.mapping.repeated_observation import drop_unobserved, reset_observations
 from slam.mapping.sight_lines import walls_in_view
+from slam.mapping.wall_cells import MIN_GAP_BETWEEN_PIECES, cells_between
 
 
 def test_observations_extend_a_wall() -> None:
@@ -142,7 +143,7 @@ def test_a_line_past_an_opening_does_not_close_it_without_points_in_it() -> None
     """A scan along a wall shows it on both sides of a door as one line: no beam happens to pass through the door."""
     frame = np.array([4.0, 1.0, 2.5])
     door = range(-4, 5)
-    beside = np.column_stack([[-2.0, -1.2, -0.6, 0.7, 1.1, 1.9], np.zeros(6)])
+    beside = np.column_stack([[-2.1, -1.6, -1.2, -0.6, 0.7, 1.1, 1.6, 2.1], np.zeros(8)])
     through = np.column_stack([np.linspace(-0.35, 0.45, 9), np.full(9, 1.0)])
     for inside, closed in (([], False), (through, False), (through - [0.0, 1.02], True)):
         landmarks = Landmarks()
@@ -153,6 +154,30 @@ def test_a_line_past_an_opening_does_not_close_it_without_points_in_it() -> None
         assert bool(landmarks.opened_cells(wall)) != closed
         assert len(landmarks.pieces(wall)) == (1 if closed else 2)
         assert landmarks.walls.rows["high"][wall] == 2.5
+
+
+@pytest.mark.parametrize("points_known", [True, False])
+def test_stretches_without_points_are_not_covered(points_known: bool) -> None:
+    """At grazing incidence, a line passes a door without a beam in between."""
+    frame, away = np.array([4.0, 1.0, 2.5]), np.array([1.0, 0.0, 0.0])
+    left, right, behind = (np.linspace(*ends, 30) for ends in ((-2.0, -0.4), (0.5, 2.0), (-0.4, 0.5)))
+    across = np.repeat([0.01, -0.01, -0.8], 30)  # the last ones are seen through the door
+    points = np.column_stack([np.concatenate([left, right, behind]), across])
+    landmarks = Landmarks()
+    wall = landmarks.add_wall(frame, 2.0, 0, se2.transform(frame, points) if points_known else None)
+    pieces = [[-2.0, -0.4], [0.5, 2.0]] if points_known else [[-2.0, 2.0]]
+    np.testing.assert_allclose(landmarks.pieces(wall), pieces, atol=0.11)
+    there = se2.compose(frame, away)
+    landmarks.observe_wall(wall, there, 2.0, 1, se2.transform(there, points) if points_known else None)
+    pieces = [[-2.0, 3.0]]  # the door of the second line is where the first one has points, and the reverse
+    np.testing.assert_allclose(landmarks.pieces(wall), pieces, atol=0.11)
+
+
+def test_points_that_are_close_enough_cover_the_stretch_between_them() -> None:
+    landmarks = Landmarks()
+    along = np.arange(-2.0, 2.01, 0.9 * MIN_GAP_BETWEEN_PIECES)
+    wall = landmarks.add_wall(np.zeros(3), 2.0, 0, np.column_stack([along, np.zeros(len(along))]))
+    assert landmarks.covered[wall] == cells_between(-2.0, 2.0)
 
 
 def test_an_opened_end_of_a_wall_is_not_drawn_again_by_a_line_without_points() -> None:

@@ -17,7 +17,7 @@ def slam() -> Slam:
         slam.add(message)
         waiting, distance = _waiting(slam.slam_state.mapper)
         longest, farthest = max(longest, waiting), max(farthest, distance)
-        if waiting == 2 and slam.slam_state.mapper.keyframe_count > 20:
+        if waiting == 2 and slam.slam_state.mapper.keyframe_count > 10:
             break
     assert longest > 1
     assert 0.0 < farthest < SOLVE_DISTANCE

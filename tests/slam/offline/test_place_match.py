@@ -111,7 +111,7 @@ def test_other_places_are_refused_with_the_reason(state: SlamState) -> None:
 
 def test_a_part_of_the_map_that_was_not_recognised_is_joined_by_hand(world: Path) -> None:
     """The robot is carried back to its start, and drives there for too short a way to be recognised."""
-    messages = measurements(world, 1, 8.0)
+    messages = measurements(world, 1, 12.0)
     last, later = messages[-1], measurements(world, 2, 4.0)
     odometry = next(message.pose for message in reversed(messages) if isinstance(message, Odometry))
     start = next(message.pose for message in later if isinstance(message, Odometry))
