@@ -68,11 +68,15 @@ def _observed(points, frame, half, start):  # type: ignore[no-untyped-def]
 def pieces_of(covered: frozenset[int], low: float, high: float) -> Floats:
     """Return (k, 2) the stretches of covered cells, begin and end in metres along the wall's frame.
 
-    low, high  ends of the wall, metres: they are the outermost ends of the stretches
+    low, high  ends of the wall, metres: the outermost ends of the stretches, unless a gap is next to them
 
     Gaps of up to MIN_GAP_BETWEEN_PIECES metres do not divide a wall.
     """
     cells = np.sort(np.fromiter(covered, dtype=np.int64, count=len(covered)))
+    if len(cells) and WALL_CELL * cells[0] - low > MIN_GAP_BETWEEN_PIECES:
+        low = WALL_CELL * cells[0]
+    if len(cells) and high - WALL_CELL * (cells[-1] + 1) > MIN_GAP_BETWEEN_PIECES:
+        high = WALL_CELL * (cells[-1] + 1)
     breaks = np.flatnonzero(np.diff(cells) > MIN_GAP_BETWEEN_PIECES / WALL_CELL)
     begin = np.concatenate([[low], WALL_CELL * cells[breaks + 1]])
     end = np.concatenate([WALL_CELL * (cells[breaks] + 1), [high]])

@@ -173,6 +173,13 @@ def test_stretches_without_points_are_not_covered(points_known: bool) -> None:
     np.testing.assert_allclose(landmarks.pieces(wall), pieces, atol=0.11)
 
 
+def test_a_gap_next_to_the_end_of_a_wall_is_left_out() -> None:
+    """The farthest point of a line at grazing incidence may be behind a door."""
+    landmarks, along = Landmarks(), np.append(np.linspace(-2.0, 1.0, 30), 2.0)
+    wall = landmarks.add_wall(np.zeros(3), 2.0, 0, np.column_stack([along, np.zeros(31)]))
+    np.testing.assert_allclose(landmarks.pieces(wall), [[-2.0, 1.0]], atol=0.11)
+
+
 def test_points_that_are_close_enough_cover_the_stretch_between_them() -> None:
     landmarks = Landmarks()
     along = np.arange(-2.0, 2.01, 0.9 * MIN_GAP_BETWEEN_PIECES)
