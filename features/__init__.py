@@ -15,7 +15,7 @@ The estimators of single lines and corners are listed in ESTIMATORS and implemen
 from .estimators import ESTIMATORS, Estimator
 from .extract import Extractor, warm_up
 from .line_fit import LineFit
-from .types import Corners, Features, Lines, Noise
+from .types import Corners, Features, LearnedNoise, Lines, Noise
 
 __all__ = [
     "ESTIMATORS",
@@ -23,6 +23,7 @@ __all__ = [
     "Estimator",
     "Extractor",
     "Features",
+    "LearnedNoise",
     "LineFit",
     "Lines",
     "Noise",

@@ -3,38 +3,27 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from . import line_tracking, rays, segmentation, segments
 from .estimators import ESTIMATORS
-from .feature_buffers import FeatureBuffers
+from .feature_buffers import FeatureBuffers, NoiseEstimate
 from .kernel import extract_features
+from .running_noise import MEMORY_LINES, MIN_GAIN, PRIOR_LINES, RunningNoise
 from .settings import Settings
-from .types import Corners, Features, Floats, Lines, Noise
+from .types import Corners, Features, Floats, LearnedNoise, Lines, Noise
 
 # Metres. Deviation of real walls, and of ranges along them, from a straight line beyond white noise.
 # Origin: chosen; not measured.
 ROUGHNESS = 0.01
-# Metres. Minimum of the adapted range noise; no lidar of a robot is better, simulations often are.
-# Origin: chosen; not measured.
-MIN_SIGMA_RANGE = 0.002
-# Metres. Maximum of the adapted range noise. Origin: chosen; not measured.
-MAX_SIGMA_RANGE = 0.10
-# Scans. Weight of the given range noise relative to observed scans. Origin: chosen; not measured.
-PRIOR_SCANS = 2.0
 # Extractions from one scan after which the estimate of its noise is used as it is. Origin: numerical, from a third of
 # the true standard deviation it changes by less than a hundredth after three.
 MAX_SETTLING_EXTRACTIONS = 5
-# Lines of a scan that determine the noise as well as it is given: surfaces differ in roughness.
-# Origin: chosen; not measured.
-PRIOR_LINES = 10
 # Relative change of the standard deviation of range below which it has settled. Origin: numerical.
 SETTLED = 0.01
-# Minimum weight of a new scan in the running mean of the range variance: a memory of about 30 scans.
-# Origin: chosen; not measured.
-MIN_GAIN = 0.03
 
 
 class Extractor:
@@ -43,7 +32,9 @@ class Extractor:
     method          "split": recursive splitting, merging and bridging; "tracking": the paper's line tracking
     estimator       line estimator, a name in ESTIMATORS
     noise           standard deviations of a ray's range (metres) and bearing (radians)
-    adapt_noise     estimate the standard deviation of range from the residuals of long walls, scan by scan
+    adapt_noise     estimate the standard deviations from the residuals of long walls, scan by scan. The bearing noise
+                    that is estimated is that of the covariances only: with it, segmentation would take clutter and
+                    pieces of two surfaces at a grazing angle for walls.
     range_min, range_max  metres; returns outside are ignored. Many lidars report a no-return as a range above 80 m.
     minimum_count   rays of a line. Two parameters are fitted; five rays leave three degrees of freedom for its test.
     minimum_length  metres of a line; shorter ones are furniture and door frames rather than walls
@@ -51,7 +42,7 @@ class Extractor:
     penalty         decrease of chi-square that a further break must bring
     roughness       metres by which real walls deviate from straight lines; breaks must exceed it
     tracking_distance  metres from a tracked line within which a ray belongs to it
-    prior_scans     weight of the given range noise relative to observed scans
+    learned         noise that earlier scans of this lidar have determined; it changes slowly
     """
 
     def __init__(
@@ -69,7 +60,7 @@ class Extractor:
         penalty: float = segmentation.PENALTY,
         roughness: float = ROUGHNESS,
         tracking_distance: float = line_tracking.PAPER_DISTANCE,
-        prior_scans: float = PRIOR_SCANS,
+        learned: LearnedNoise | None = None,
     ) -> None:
         if estimator not in ESTIMATORS:
             raise ValueError(f"no estimator {estimator!r}; known: {', '.join(ESTIMATORS)}")
@@ -77,12 +68,16 @@ class Extractor:
             raise ValueError(f"no method {method!r}; known: split, tracking")
         if not (noise.sigma_range > 0.0 and noise.sigma_bearing >= 0.0):
             raise ValueError(f"noise must be positive, not {noise}")
-        self._noise = noise
         self._adapt = adapt_noise
-        self._scan_weight = prior_scans
+        if learned is not None and adapt_noise:
+            self._running = RunningNoise(learned, 1.0 / MIN_GAIN, MEMORY_LINES)
+        else:
+            self._running = RunningNoise(LearnedNoise(noise.sigma_range, noise.sigma_bearing, noise.sigma_range))
         settings = Settings(
-            sigma_range=float(noise.sigma_range),
+            sigma_range=float(self.noise.segmentation_range),
             sigma_bearing=float(noise.sigma_bearing),
+            learned_range=float(self.noise.sigma_range),
+            learned_bearing=float(self.noise.sigma_bearing),
             range_min=max(float(range_min), 1e-3),
             range_max=float(range_max),
             minimum_count=max(int(minimum_count), 3),
@@ -98,9 +93,9 @@ class Extractor:
         self._allocate(1)
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> LearnedNoise:
         """Noise assumed for the next scan."""
-        return self._noise
+        return self._running.noise
 
     def extract(self, ranges: Floats, angles: Floats) -> Features:
         """Extract the lines and corners of one scan, in the lidar's frame.
@@ -110,46 +105,59 @@ class Extractor:
 
         n may change from scan to scan. Raises ValueError if the lengths differ.
         """
+        self._load(ranges, angles)
+        used = self.noise
+        lines, corners, estimate = self.run_kernel()
+        if self._adapt:
+            self._assume(self._running.updated(estimate))
+        return Features(self._lines(lines), self._corners(corners), used)
+
+    def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
+        """Estimate the noise from one scan, by repeated extraction; return False if it does not determine it.
+
+        The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
+        have wrong covariances, and a running mean corrects it too late. The given range noise counts as PRIOR_LINES
+        lines in a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is
+        not adapted.
+        """
+        if not self._adapt:
+            return True
+        self._load(ranges, angles)
+        given, share = self._running, 0.0
+        for _ in range(MAX_SETTLING_EXTRACTIONS):
+            before = replace(self.noise, sigma_bearing=given.noise.sigma_bearing)
+            lines, _, estimate = self.run_kernel()
+            if not estimate.segmentation_weight > 0.0:
+                break
+            self._assume(RunningNoise(before, 0.0, given.lines).updated(estimate))
+            share = lines / (lines + PRIOR_LINES)
+            changes = (
+                self.noise.sigma_range / before.sigma_range,
+                self.noise.segmentation_range / before.segmentation_range,
+            )
+            if all(abs(change - 1.0) < SETTLED for change in changes):
+                break
+        noise = LearnedNoise(
+            given.noise.sigma_range ** (1.0 - share) * self.noise.sigma_range**share,
+            self.noise.sigma_bearing,
+            given.noise.segmentation_range ** (1.0 - share) * self.noise.segmentation_range**share,
+        )
+        self._assume(replace(given, noise=noise))
+        return share > 0.0
+
+    def run_kernel(self) -> tuple[int, int, NoiseEstimate]:
+        """Run the compiled part of `extract` on the last scan; return the kernel's result."""
+        return extract_features(self._ranges, self._angles, self._settings, self._memory, tuple(self._output))
+
+    def _load(self, ranges: Floats, angles: Floats) -> None:
+        """Copy a scan, as a read-only array or another data type would trigger a new compilation."""
         count = len(ranges)
         if len(angles) != count:
             raise ValueError(f"{count} ranges but {len(angles)} angles")
         if count != len(self._ranges):
             self._allocate(count)
-        # copied, because a read-only array or another data type would trigger a new compilation
         self._ranges[:] = ranges
         self._angles[:] = angles
-        used = self._noise
-        lines, corners, variance = self.run_kernel()
-        if self._adapt and not math.isnan(variance):
-            self._adapt_noise(variance)
-        return Features(self._lines(lines), self._corners(corners), used)
-
-    def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
-        """Estimate the noise from one scan alone, by repeated extraction; return False if it does not determine it.
-
-        The given noise may be wrong by a factor. What is extracted with it, as from the first scan of a drive, would
-        have wrong covariances, and a running mean corrects it too late. The given noise counts as PRIOR_LINES lines in
-        a geometric mean with those of the scan. Arguments are those of `extract`. Without effect if noise is not
-        adapted.
-        """
-        if not self._adapt:
-            return True
-        given, weight, share = self._noise, self._scan_weight, 0.0
-        for _ in range(MAX_SETTLING_EXTRACTIONS):
-            before, self._scan_weight = self._noise, 0.0
-            lines = len(self.extract(ranges, angles).lines)
-            if self._noise is before:  # no line determines it
-                break
-            share = lines / (lines + PRIOR_LINES)
-            if abs(self._noise.sigma_range / before.sigma_range - 1.0) < SETTLED:
-                break
-        self._scan_weight = weight
-        self._set_sigma_range(given.sigma_range ** (1.0 - share) * self._noise.sigma_range**share)
-        return share > 0.0
-
-    def run_kernel(self) -> tuple[int, int, float]:
-        """Run the compiled part of `extract` on the last scan; return the kernel's result."""
-        return extract_features(self._ranges, self._angles, self._settings, self._memory, tuple(self._output))
 
     def _allocate(self, beams: int) -> None:
         """Allocate memory for scans of `beams` beams; larger memory is kept."""
@@ -164,19 +172,14 @@ class Extractor:
             curved=np.zeros(beams + 1, dtype=np.bool_),
             corners=np.zeros((beams + 1, 7)),
             pairs=np.zeros((beams + 1, 2), dtype=np.int64),
-            range_variances=np.zeros(beams + 1),
+            noise=np.zeros((beams + 1, len(NoiseEstimate._fields))),
         )
 
-    def _adapt_noise(self, variance: float) -> None:
-        """Update the geometric running mean of the range variance with that of a scan."""
-        gain = max(1.0 / (self._scan_weight + 1.0), MIN_GAIN)
-        self._scan_weight += 1.0
-        limited = min(max(variance, MIN_SIGMA_RANGE**2), MAX_SIGMA_RANGE**2)
-        self._set_sigma_range(self._noise.sigma_range ** (1.0 - gain) * limited ** (0.5 * gain))
-
-    def _set_sigma_range(self, sigma: float) -> None:
-        self._noise = Noise(sigma, self._noise.sigma_bearing)
-        self._settings = (sigma, *self._settings[1:])
+    def _assume(self, running: RunningNoise) -> None:
+        """Assume a noise for the next scan."""
+        self._running = running
+        noise, (_, given_bearing, _, _, *others) = running.noise, self._settings
+        self._settings = (noise.segmentation_range, given_bearing, noise.sigma_range, noise.sigma_bearing, *others)
 
     def _lines(self, count: int) -> Lines:
         rows = self._output.lines[:count].copy()

@@ -15,7 +15,7 @@ class FeatureBuffers(NamedTuple):
     curved           true if a line is a chord of a curved surface
     corners          x, y, Cxx, Cxy, Cxy, Cyy, evidence against a curve (see curves)
     pairs            line before, line after
-    range_variances  estimates from long segments, sorted
+    noise            of a long segment: the values of a NoiseEstimate
     """
 
     lines: Floats
@@ -23,4 +23,23 @@ class FeatureBuffers(NamedTuple):
     curved: Flags
     corners: Floats
     pairs: Integers
-    range_variances: Floats
+    noise: Floats
+
+
+class NoiseEstimate(NamedTuple):
+    """Estimate of the noise from the long segments of one scan.
+
+    A weight is the number of segments that determine the variance before it, less the shares of other noise; if it is
+    zero, the variance is NaN.
+
+    segmentation_variance  squared metres: range variance if the bearing noise is as given
+    range_variance         squared metres, estimated together with the bearing variance
+    bearing_variance       squared radians
+    """
+
+    segmentation_variance: float
+    segmentation_weight: float
+    range_variance: float
+    range_weight: float
+    bearing_variance: float
+    bearing_weight: float

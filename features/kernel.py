@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .compiled import compiled, vectorised
+from .compiled import compiled
 from .corner_search import find_corner
 from .curves import remove_curve_corners
 from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
-from .feature_buffers import FeatureBuffers
+from .feature_buffers import FeatureBuffers, NoiseEstimate
 from .line_tracking import track_lines
 from .merging import remove_small_segments
+from .noise_estimates import MIN_ADAPT_RAYS, estimate_noise, median_estimate
 from .normal_equations import bearing_variance, get_column
 from .rays import (
     Rays,
@@ -49,8 +50,6 @@ MAX_CHI2 = 4.0
 # edge, and always pull to the same side, so that no number of scans averages it out. Origin: geometry, the spot of one
 # beam crosses an edge.
 TRIMMED_RAYS = 1
-# Minimum number of rays of a line from which the range noise is estimated. Origin: chosen; not measured.
-MIN_ADAPT_RAYS = 15
 
 
 @compiled
@@ -66,28 +65,6 @@ def within_gate(inverse: float, cos: float, sin: float, u: float, v: float, sett
 def lies_on(rays: Rays, ray: int, u: float, v: float, settings: Settings) -> bool:
     """Return True if the ray with index `ray` is within the inlier gate of the line."""
     return within_gate(rays.inverse[ray], rays.cos[ray], rays.sin[ray], u, v, settings)
-
-
-@vectorised
-def estimate_range_variance(part: RaySlice, u: float, v: float, sigma_range: float, sigma_bearing: float) -> float:
-    """Estimate the range variance from the residuals of a line, by one scoring step on its likelihood.
-
-    A residual r has variance s p^4 + q with s the range variance and q = sigma_bearing^2 t^2 known. The likelihood is
-    stationary in s at sum w^2 p^4 (r^2 - q) / sum w^2 p^8; the line takes two of n degrees of freedom.
-    """
-    range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
-    above = below = used = 0.0
-    for i in range(len(part.inverse)):
-        p, t = u * part.cos[i] + v * part.sin[i], v * part.cos[i] - u * part.sin[i]
-        residual = part.inverse[i] * (1.0 - range_variance * part.inverse[i] * part.inverse[i]) - p
-        quartic, known = p * p * p * p, bearing_variance * t * t
-        w = 1.0 / (range_variance * quartic + known)
-        inlier = 1.0 if w * residual * residual <= INLIER_GATE else 0.0
-        wq = inlier * w * w * quartic
-        above += wq * (residual * residual - known)
-        below += wq * quartic
-        used += inlier
-    return above / below * used / max(1.0, used - 2.0) if below > 0.0 else math.nan
 
 
 @compiled
@@ -111,14 +88,15 @@ def fit_segment(
     settings: Settings,
     output: FeatureBuffers,
     lines: int,
-) -> tuple[bool, float]:
-    """Fit a line to a segment and write it to row `lines`.
+    estimates: int,
+) -> tuple[bool, bool]:
+    """Fit a line to a segment and write it to row `lines`, and its estimates of the noise to row `estimates`.
 
-    Returns True if it is accepted as a line, and its estimate of the range variance, or NaN.
+    Returns True if it is accepted as a line, and True if it has estimated the noise.
     """
     begin, end = segments.begin[segment], segments.end[segment]
     if end - begin < settings.minimum_count:
-        return False, math.nan
+        return False, False
     trimmed = min(TRIMMED_RAYS, (end - begin - settings.minimum_count) // 2)
     part = slice_rays(rays, count, begin + trimmed, end - trimmed, buffer)
     u, v = line(segments, segment)
@@ -126,16 +104,25 @@ def fit_segment(
     used = 0
     for _ in range(REWEIGHTINGS):
         u, v, cuu, cuv, cvv, chi2, used = reweighted(
-            part.inverse, part.cos, part.sin, u, v, settings.sigma_range, settings.sigma_bearing, INLIER_GATE
+            part.inverse,
+            part.cos,
+            part.sin,
+            u,
+            v,
+            settings.sigma_range,
+            settings.sigma_bearing,
+            settings.learned_range,
+            settings.learned_bearing,
+            INLIER_GATE,
         )
         if used < settings.minimum_count or used < MIN_INLIER_SHARE * len(part.inverse):
-            return False, math.nan
-    variance = math.nan
-    if used >= MIN_ADAPT_RAYS:
-        variance = estimate_range_variance(part, u, v, settings.sigma_range, settings.sigma_bearing)
+            return False, False
+    estimated = used >= MIN_ADAPT_RAYS
+    if estimated:
+        estimate_noise(part, u, v, settings, output.noise[estimates])
     bearing_spread = bearing_variance(get_column(segments.sums, segment))
     if not (chi2 <= MAX_CHI2 * (used - 2) and bearing_spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
-        return False, variance
+        return False, estimated
     while begin < end - 1 and not lies_on(rays, wrap_index(begin, count), u, v, settings):
         begin += 1
     while begin < end - 1 and not lies_on(rays, wrap_index(end - 1, count), u, v, settings):
@@ -143,7 +130,7 @@ def fit_segment(
     if settings.estimator != MAXIMUM_LIKELIHOOD:
         part = select_inliers(part, u, v, settings, buffer)
         u, v, cuu, cuv, cvv = fit_by_code(
-            settings.estimator, part.inverse, part.cos, part.sin, settings.sigma_range, settings.sigma_bearing
+            settings.estimator, part.inverse, part.cos, part.sin, settings.learned_range, settings.learned_bearing
         )
     cuu += segments.boundary_covariance[0, segment]
     cuv += segments.boundary_covariance[1, segment]
@@ -158,7 +145,7 @@ def fit_segment(
     span = output.spans[lines]
     span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
     output.curved[lines] = False
-    return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, variance
+    return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, estimated
 
 
 @compiled
@@ -170,10 +157,10 @@ def fit_segments(
     buffer: RaySlice,
     settings: Settings,
     output: FeatureBuffers,
-) -> tuple[int, float]:
+) -> tuple[int, int]:
     """Fit lines to the segments in the order of their beams.
 
-    Returns the number of lines and the median of their estimates of the range variance, or NaN.
+    Returns the numbers of lines, and of estimates of the noise.
     """
     start = 0
     for segment in range(1, segment_count):
@@ -181,27 +168,14 @@ def fit_segments(
             start = segment
     lines = estimates = 0
     for k in range(start, start + segment_count):
-        is_line, variance = fit_segment(
-            rays, count, segments, wrap_index(k, segment_count), buffer, settings, output, lines
+        is_line, estimated = fit_segment(
+            rays, count, segments, wrap_index(k, segment_count), buffer, settings, output, lines, estimates
         )
         if is_line:
             lines += 1
-        if math.isfinite(variance):
-            insert_sorted(output.range_variances, estimates, variance)
+        if estimated:
             estimates += 1
-    if estimates == 0:
-        return lines, math.nan
-    return lines, 0.5 * (output.range_variances[(estimates - 1) // 2] + output.range_variances[estimates // 2])
-
-
-@compiled
-def insert_sorted(values: Floats, count: int, value: float) -> None:
-    """Insert a value into the first `count` sorted values."""
-    k = count
-    while k > 0 and values[k - 1] > value:
-        values[k] = values[k - 1]
-        k -= 1
-    values[k] = value
+    return lines, estimates
 
 
 @compiled
@@ -211,7 +185,7 @@ def extract_features(
     setting_values: tuple[Any, ...],
     memory: tuple[Floats, Integers, Floats, Integers],
     output_arrays: tuple[Any, ...],
-) -> tuple[int, int, float]:
+) -> tuple[int, int, NoiseEstimate]:
     """Extract the features of a scan.
 
     ranges, angles  (n,) metres and radians
@@ -219,7 +193,7 @@ def extract_features(
     memory          results of `rays.allocate` and `segments.allocate`
     output_arrays   fields of FeatureBuffers, as a plain tuple
 
-    Returns the numbers of lines and corners written to the output, and the estimate of the range variance, or NaN.
+    Returns the numbers of lines and corners written to the output, and the estimate of the noise.
     """
     settings, output = Settings(*setting_values), FeatureBuffers(*output_arrays)
     grid, ray_buffer = ray_views(memory[0], memory[1])
@@ -228,7 +202,7 @@ def extract_features(
     range_min = max(settings.range_min, MIN_RANGE_SIGMAS * settings.sigma_range)
     rays, count = select_rays(ranges, range_min, settings.range_max, grid, ray_buffer)
     if count < settings.minimum_count:
-        return 0, 0, math.nan
+        return 0, 0, NoiseEstimate(math.nan, 0.0, math.nan, 0.0, math.nan, 0.0)
     step = bearing_step(angles, rays, count)
     mark_breaks(rays, count, step, settings)
     accumulate_sums(rays, count, step, settings)
@@ -239,11 +213,16 @@ def extract_features(
         segment_count = segment_rays(rays, count, step, segments, gains, stack, settings)
     # gains and prefix sums are not needed any more; their memory is used for the rays of one segment at a time
     buffer = RaySlice(gains, rays.prefix[0], rays.prefix[1])
-    lines, variance = fit_segments(rays, count, segments, segment_count, buffer, settings, output)
+    lines, estimates = fit_segments(rays, count, segments, segment_count, buffer, settings, output)
     corners = 0
     for after in range(lines):
         before = after - 1 if after > 0 else lines - 1
         if before != after and find_corner(rays, count, step, output, before, after, settings, corners):
             corners += 1
     corners = remove_curve_corners(output.corners, output.pairs, output.curved, corners)
-    return lines, corners, variance
+    estimate = NoiseEstimate(
+        *median_estimate(output.noise, estimates, 0),
+        *median_estimate(output.noise, estimates, 2),
+        *median_estimate(output.noise, estimates, 4),
+    )
+    return lines, corners, estimate

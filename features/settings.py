@@ -8,8 +8,10 @@ from typing import NamedTuple
 class Settings(NamedTuple):
     """Lengths in metres, standard deviations in metres and radians; described at Extractor."""
 
-    sigma_range: float
+    sigma_range: float  # of segmentation, the weights of fits, and tests
     sigma_bearing: float
+    learned_range: float  # of covariances
+    learned_bearing: float
     range_min: float
     range_max: float
     minimum_count: int

@@ -20,6 +20,16 @@ class Noise:
     sigma_bearing: float
 
 
+@dataclass(frozen=True, slots=True)
+class LearnedNoise(Noise):
+    """Noise that scans have determined: range and bearing together, for covariances.
+
+    segmentation_range  metres: standard deviation of range that explains the scans with the given bearing noise
+    """
+
+    segmentation_range: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
     """n fitted wall segments, in the order of their bearings.
@@ -69,7 +79,7 @@ class Corners:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Features:
-    """Lines and corners of one scan, and the noise assumed for it."""
+    """Lines and corners of one scan, and the noise from which their covariances are propagated."""
 
     lines: Lines
     corners: Corners

@@ -89,11 +89,15 @@ def reweighted(
     v: float,
     sigma_range: float,
     sigma_bearing: float,
+    learned_range: float,
+    learned_bearing: float,
     gate: float,
 ) -> tuple[float, float, float, float, float, float, int]:
     """Reweight the maximum-likelihood fit once, from the line (u, v).
 
-    Returns (u, v, Cuu, Cuv, Cvv, chi2, number of inliers).
+    Returns (u, v, Cuu, Cuv, Cvv, chi2, number of inliers). The weights are those of the first noise, sigma_range and
+    sigma_bearing; the covariance is that of these weights if the noise is the second one: with the normal matrix N and
+    the variances S of the rays, N^-1 A' W S W A N^-1, which is N^-1 if both are the same.
 
     A ray's 1/rho has variance sigma_range^2 p^4 + sigma_bearing^2 t^2 with p = u cos + v sin its predicted 1/rho and
     t = v cos - u sin the slope of p in bearing. The weight uses the predicted p: with the measured 1/rho, rays measured
@@ -103,7 +107,7 @@ def reweighted(
     bearings shrinks exp(i k theta) by exp(-k^2 sigma_bearing^2 / 2).
     """
     range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
-    total = er = ei = hr = hi = k = used = 0.0
+    total = er = ei = hr = hi = k = used = learned = lr = li = 0.0
     for i in range(len(inverse)):
         c, s = cos[i], sin[i]
         eta = inverse[i] * (1.0 - range_variance * inverse[i] * inverse[i])
@@ -113,9 +117,13 @@ def reweighted(
         inlier = 1.0 if w * residual * residual <= gate else 0.0
         w *= inlier
         used += inlier
+        m = w * w * (learned_range * learned_range * p * p * p * p + learned_bearing * learned_bearing * t * t)
         total += w
         er += w * (c * c - s * s)
         ei += 2.0 * w * c * s
+        learned += m
+        lr += m * (c * c - s * s)
+        li += 2.0 * m * c * s
         hr += w * eta * c
         hi += w * eta * s
         k += w * eta * eta
@@ -126,7 +134,12 @@ def reweighted(
     squares = 0.5 * (total * (u * u + v * v) + er * (u * u - v * v)) + ei * u * v
     chi2 = max(0.0, k - 2.0 * (u * hr + v * hi) + squares)
     scale = 2.0 / determinant
-    return u, v, scale * (total - shrunk * er), -scale * shrunk * ei, scale * (total + shrunk * er), chi2, int(used)
+    nuu, nuv, nvv = scale * (total - shrunk * er), -scale * shrunk * ei, scale * (total + shrunk * er)
+    luu, luv, lvv = 0.5 * (learned + shrunk * lr), 0.5 * shrunk * li, 0.5 * (learned - shrunk * lr)
+    cuu = nuu * nuu * luu + 2.0 * nuu * nuv * luv + nuv * nuv * lvv
+    cuv = nuu * nuv * luu + (nuu * nvv + nuv * nuv) * luv + nuv * nvv * lvv
+    cvv = nuv * nuv * luu + 2.0 * nuv * nvv * luv + nvv * nvv * lvv
+    return u, v, cuu, cuv, cvv, chi2, int(used)
 
 
 def fit(ranges: Floats, angles: Floats, noise: Noise) -> LineFit:
@@ -156,7 +169,16 @@ def fit_maximum_likelihood(ranges: Floats, angles: Floats, noise: Noise) -> Line
     cuu = cuv = cvv = math.nan
     for _ in range(REWEIGHTINGS):
         u, v, cuu, cuv, cvv, _, _ = reweighted(
-            inverse, cos, sin, u, v, noise.sigma_range, noise.sigma_bearing, math.inf
+            inverse,
+            cos,
+            sin,
+            u,
+            v,
+            noise.sigma_range,
+            noise.sigma_bearing,
+            noise.sigma_range,
+            noise.sigma_bearing,
+            math.inf,
         )
     uv, covariance = np.array([u, v]), np.array([[cuu, cuv], [cuv, cvv]])
     return LineFit(uv=uv, covariance=covariance, parameters=uv, parameter_covariance=covariance)

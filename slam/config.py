@@ -33,12 +33,18 @@ class LidarConfig(_Group):
         description="standard deviation of a range, metres; initial value if adapt_noise is true",
     )
     sigma_bearing: float = Field(
-        math.radians(0.05), gt=0, lt=0.1, description="standard deviation of a beam's bearing, radians"
+        math.radians(0.05),
+        gt=0,
+        lt=0.1,
+        description="standard deviation of a beam's bearing, radians; for covariances, see adapt_noise",
     )
     range_bias: Finite = Field(
         0.0, gt=-1, lt=1, description="range bias, metres: all ranges are too long by it; see `wclm calibrate`"
     )
-    adapt_noise: bool = Field(True, description="estimate sigma_range from the residuals of the walls while running")
+    adapt_noise: bool = Field(
+        True,
+        description="estimate sigma_range, and sigma_bearing for covariances, from the residuals of walls",
+    )
     range_min: Finite = Field(0.05, ge=0, description="minimum range, metres; shorter ranges are ignored")
     range_max: float = Field(
         60.0,

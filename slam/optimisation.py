@@ -59,7 +59,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     last = session.scans[-1]
     slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.odometry), keyframes)
     summary = refined.summary | _changes(before, refined.mapper)
-    publisher.publish_keyframes(refined.mapper, keyframes, session.sigma_range)
+    publisher.publish_keyframes(refined.mapper, keyframes, session.noise.sigma_range)
     publisher.publish_map(last.stamp, refined.mapper)
     moved = _shifts(before, refined.mapper)
     text = f"refined: keyframes moved by {np.median(moved):.3f} m (median), {moved.max():.3f} m at most"

@@ -145,7 +145,7 @@ class Slam:
         self._journal.mark_localised()
         self._journal.mark_decided(self._estimator.state.keyframe_stamps)
         self._statistics.lost_scans += self._localisation.lost
-        self._report.add(processed, result, self.slam_state, self._preprocessor.sigma_range, timer)
+        self._report.add(processed, result, self.slam_state, self._preprocessor.noise.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)
 
     # --- start

@@ -56,8 +56,8 @@ class RunSession:
             scans=journal.scans,
             odometry=journal.segments.histories,
             starts=journal.segments.starts,
-            sigma_range=self.preprocessor.sigma_range,
-            second_sigma_range=self.preprocessor.second_sigma_range,
+            noise=self.preprocessor.noise,
+            second_noise=self.preprocessor.second_noise,
             recordings=[] if earlier is None else list(earlier.recordings),
             loop_decisions=[*(() if earlier is None else earlier.loop_decisions), *self.statistics.loops],
         )

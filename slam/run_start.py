@@ -47,6 +47,6 @@ def start_preprocessor(config: Config, session: StoredSession | None) -> Preproc
     """Return the preprocessor of a run, with the noise and the queued scans of the session that it continues."""
     if session is None:
         return Preprocessor(config)
-    preprocessor = Preprocessor(config, session.sigma_range, session.second_sigma_range)
+    preprocessor = Preprocessor(config, session.noise, session.second_noise)
     preprocessor.restore_queue(session.queued_scans)
     return preprocessor

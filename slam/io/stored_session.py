@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.messages import Scan
+from features import LearnedNoise
 
 from ..config import Config
 from ..estimation.refinement import ScanHistory, build_scan_history
@@ -29,12 +30,12 @@ class StoredSession:
     scans           all processed scans, in time order
     odometry        all readings of each odometry segment
     starts          rows of the scans at which an odometry segment starts
-    sigma_range     last estimate of a range's standard deviation, metres
+    noise           last estimate of the noise of a ray
     recordings      recordings that the session was made from
     loop_decisions  all decisions on loop closure candidates, with the values of `summary.json`
     queued_scans    last scans, whose sweep odometry did not cover yet: part of the trajectory in the results, but not
                     of `slam_state`, since more odometry may follow
-    second_sigma_range  as sigma_range, of the second lidar; None if there is none
+    second_noise    as noise, of the second lidar; None if there is none
     """
 
     config: Config
@@ -42,11 +43,11 @@ class StoredSession:
     scans: Sequence[ProcessedScan]
     odometry: Sequence[OdometryHistory]
     starts: Sequence[int]
-    sigma_range: float
+    noise: LearnedNoise
     recordings: list[Recording] = field(default_factory=list)
     loop_decisions: Sequence[Mapping[str, Any]] = ()
     queued_scans: Sequence[Scan] = ()
-    second_sigma_range: float | None = None
+    second_noise: LearnedNoise | None = None
 
     @property
     def latest(self) -> float:

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from drivers.compiled import is_cached
-from features import Extractor, Noise
-from features.extract import MIN_GAIN, PRIOR_SCANS
+from features import Extractor, LearnedNoise, Noise
 from features.kernel import extract_features
 
 from ..config import FeatureConfig, LidarConfig
 
 
-def build_extractor(lidar: LidarConfig, features: FeatureConfig, sigma_range: float | None = None) -> Extractor:
+def build_extractor(lidar: LidarConfig, features: FeatureConfig, learned: LearnedNoise | None = None) -> Extractor:
     """Return the extractor for the scans of a lidar, by the configured methods.
 
-    `sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it.
+    `learned` is the noise of a ray if earlier scans have determined it.
     """
-    learned = lidar.adapt_noise and sigma_range is not None
     return Extractor(
-        Noise(sigma_range if learned and sigma_range is not None else lidar.sigma_range, lidar.sigma_bearing),
-        prior_scans=1.0 / MIN_GAIN if learned else PRIOR_SCANS,
+        Noise(lidar.sigma_range, lidar.sigma_bearing),
+        learned=learned,
         method=features.segmentation,
         estimator=features.estimator,
         adapt_noise=lidar.adapt_noise,

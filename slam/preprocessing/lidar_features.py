@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Scan
-from features import Features
+from features import Features, LearnedNoise
 
 from ..config import FeatureConfig, LidarConfig
 from ..geometry.line_segments import corner_points, segments_from_lines
@@ -52,16 +52,16 @@ class ExtractedScan:
 class LidarFeatures:
     """Feature extraction for the scans of one lidar, with its mount and its noise."""
 
-    def __init__(self, lidar: LidarConfig, features: FeatureConfig, sigma_range: float | None = None) -> None:
-        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it."""
+    def __init__(self, lidar: LidarConfig, features: FeatureConfig, noise: LearnedNoise | None = None) -> None:
+        """`noise` is that of a ray if earlier scans have determined it."""
         self._lidar = lidar
-        self._extractor = build_extractor(lidar, features, sigma_range)
-        self._noise_settled = sigma_range is not None
+        self._extractor = build_extractor(lidar, features, noise)
+        self._noise_settled = noise is not None
 
     @property
-    def sigma_range(self) -> float:
-        """Current estimate of a range's standard deviation, metres."""
-        return self._extractor.noise.sigma_range
+    def noise(self) -> LearnedNoise:
+        """Current estimate of the noise of a ray."""
+        return self._extractor.noise
 
     def extract(self, scan: Scan, odometry: OdometryHistory, model: OdometryModel) -> ExtractedScan:
         """De-skew a scan and extract its features."""

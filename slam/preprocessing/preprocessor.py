@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry, Scan
+from features import LearnedNoise
 
 from ..config import Config
 from ..geometry.segments import CornerPoints, Segments
@@ -49,15 +50,12 @@ class Preprocessor:
     """Queue of scans that wait for odometry, and the feature extraction."""
 
     def __init__(
-        self, config: Config, sigma_range: float | None = None, second_sigma_range: float | None = None
+        self, config: Config, noise: LearnedNoise | None = None, second_noise: LearnedNoise | None = None
     ) -> None:
-        """`sigma_range` is the standard deviation of a range (metres) if earlier scans have determined it.
-
-        `second_sigma_range` is that of the second lidar.
-        """
-        self._first = LidarFeatures(config.lidar, config.features, sigma_range)
-        self._second = LidarFeatures(config.second_lidar, config.features, second_sigma_range)
-        self._second_is_known = second_sigma_range is not None
+        """`noise` is that of a ray if earlier scans have determined it, `second_noise` that of the second lidar."""
+        self._first = LidarFeatures(config.lidar, config.features, noise)
+        self._second = LidarFeatures(config.second_lidar, config.features, second_noise)
+        self._second_is_known = second_noise is not None
         self._predicts_odometry = config.odometry.source == "none"
         self._queue = ScanQueue(two_lidars=bool(config.second_lidar.topic), predicts_odometry=self._predicts_odometry)
         self.odometry = OdometryHistory()
@@ -68,14 +66,14 @@ class Preprocessor:
         self.scans_without_odometry = 0
 
     @property
-    def sigma_range(self) -> float:
-        """Current estimate of a range's standard deviation, metres; of the first lidar if there are two."""
-        return self._first.sigma_range
+    def noise(self) -> LearnedNoise:
+        """Current estimate of the noise of a ray; of the first lidar if there are two."""
+        return self._first.noise
 
     @property
-    def second_sigma_range(self) -> float | None:
+    def second_noise(self) -> LearnedNoise | None:
         """The same of the second lidar; None if there is none."""
-        return self._second.sigma_range if self.joined_scans or self._second_is_known else None
+        return self._second.noise if self.joined_scans or self._second_is_known else None
 
     def add(self, message: Odometry | Scan) -> None:
         """Add a message. Scans before the first odometry are dropped once the queue is full."""

@@ -229,6 +229,34 @@ def test_maximum_likelihood_covariance_is_consistent(case: tuple[float, float, f
     assert 1.8 < total / trials < 2.25
 
 
+@pytest.mark.parametrize("case", [(2.0, 20, 70, 120), (0.5, -70, 70, 358)])
+def test_covariance_is_consistent_if_the_weights_are_not(case: tuple[float, float, float, int]) -> None:
+    """As before, with the weights of another noise."""
+    distance, low, high, count = case
+    rng, weights, noise = np.random.default_rng(13), Noise(0.01, np.radians(0.05)), Noise(0.008, np.radians(0.4))
+    angles = np.radians(np.linspace(low, high, count))
+    cos, sin = np.cos(angles), np.sin(angles)
+    truth = np.array([1 / distance, 0.0])
+    total, trials = 0.0, 1500
+    for _ in range(trials):
+        bearings = angles + rng.normal(0, noise.sigma_bearing, count)
+        inverse = 1.0 / (distance / np.cos(bearings) + rng.normal(0, noise.sigma_range, count))
+        u, v, cuu, cuv, cvv, _, _ = wclm.reweighted(
+            inverse,
+            cos,
+            sin,
+            *truth,
+            weights.sigma_range,
+            weights.sigma_bearing,
+            noise.sigma_range,
+            noise.sigma_bearing,
+            np.inf,
+        )
+        error = np.array([u, v]) - truth
+        total += error @ np.linalg.solve([[cuu, cuv], [cuv, cvv]], error)
+    assert 1.8 < total / trials < 2.25
+
+
 def test_covariance_of_the_paper_is_consistent_for_distant_walls() -> None:
     rng, trials, total = np.random.default_rng(12), 1500, 0.0
     angles, truth = np.radians(np.linspace(-11, 11, 58)), np.array([0.25, 0.0])

@@ -10,10 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from features import Extractor, Features, Noise
+from features import Extractor, Features, LearnedNoise, Noise
 from features.kernel import TRIMMED_RAYS
 
 NOISE = Noise(0.01, 0.001)
+GIVEN = LearnedNoise(0.01, 0.001, 0.01)
 
 
 def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = NOISE, **options: object) -> Features:
@@ -194,7 +195,27 @@ def test_range_noise_is_estimated(simulate: Callable[..., object], given_sigma: 
         scan = simulate(seed, beams=500, sigma_range=true_sigma, sigma_bearing=np.radians(0.05), outliers=0.01)
         features = extractor.extract(scan.ranges, scan.angles)
     assert features.noise.sigma_range == pytest.approx(true_sigma, rel=0.15)
-    assert extractor.noise.sigma_bearing == np.radians(0.05)
+    assert extractor.noise.sigma_bearing < np.radians(0.1)
+
+
+@pytest.mark.parametrize("given_degrees", [0.05, 0.5])
+@pytest.mark.parametrize("true_degrees", [0.2, 0.4])
+def test_bearing_noise_is_estimated(simulate: Callable[..., object], given_degrees: float, true_degrees: float) -> None:
+    extractor = Extractor(Noise(0.01, np.radians(given_degrees)))
+    for seed in range(150):
+        scan = simulate(seed, beams=500, sigma_range=0.01, sigma_bearing=np.radians(true_degrees), outliers=0.01)
+        features = extractor.extract(scan.ranges, scan.angles)
+    assert features.noise.sigma_bearing == pytest.approx(np.radians(true_degrees), rel=0.15)
+    assert features.noise.sigma_range == pytest.approx(0.01, rel=0.1)
+
+
+def test_walls_that_face_the_lidar_do_not_determine_the_bearing_noise() -> None:
+    angles, random = np.radians(np.linspace(-12.0, 12.0, 97)), np.random.default_rng(4)
+    extractor = Extractor(Noise(0.01, np.radians(0.05)))
+    for _ in range(100):
+        extractor.extract(4.0 / np.cos(angles) + random.normal(0.0, 0.03, len(angles)), angles)
+    assert extractor.noise.sigma_range == pytest.approx(0.03, rel=0.1)
+    assert extractor.noise.sigma_bearing == pytest.approx(np.radians(0.05), rel=0.1)
 
 
 @pytest.mark.parametrize("given_sigma", [0.005, 0.01, 0.05])
@@ -210,14 +231,36 @@ def test_the_first_scan_settles_most_of_a_wrong_noise(simulate: Callable[..., ob
     assert by_settling < 0.75 * by_extraction
 
 
+def test_the_first_scan_settles_most_of_a_wrong_bearing_noise(simulate: Callable[..., object]) -> None:
+    settled = []
+    for seed in range(20):
+        scan = simulate(seed, beams=500, sigma_range=0.005, sigma_bearing=np.radians(0.4))
+        extractor = Extractor(Noise(0.005, np.radians(0.05)))
+        assert extractor.settle_noise(scan.ranges, scan.angles)
+        settled.append(extractor.noise.sigma_bearing)
+    assert np.median(settled) == pytest.approx(np.radians(0.4), rel=0.5)
+
+
+def test_the_learned_noise_changes_covariances_only(simulate: Callable[..., object]) -> None:
+    scan = simulate(3, beams=500, sigma_range=0.01, sigma_bearing=np.radians(0.2))
+    low, high = (
+        Extractor(NOISE, learned=LearnedNoise(0.01, np.radians(degrees), 0.01)).extract(scan.ranges, scan.angles).lines
+        for degrees in (0.05, 0.4)
+    )
+    np.testing.assert_array_equal(low.uv, high.uv)
+    np.testing.assert_array_equal(low.first, high.first)
+    np.testing.assert_array_equal(low.chi2, high.chi2)
+    assert (np.linalg.eigvalsh(high.covariance - low.covariance) > 0.0).all()
+
+
 def test_a_scan_without_lines_settles_nothing(simulate: Callable[..., object]) -> None:
     angles, extractor = np.linspace(-np.pi, np.pi, 360, endpoint=False), Extractor(NOISE)
     assert not extractor.settle_noise(np.full(360, np.nan), angles)
-    assert extractor.noise == NOISE
+    assert extractor.noise == GIVEN
     scan = simulate(0, beams=500)
     fixed = Extractor(NOISE, adapt_noise=False)
     assert fixed.settle_noise(scan.ranges, scan.angles)
-    assert fixed.noise == NOISE
+    assert fixed.noise == GIVEN
 
 
 def test_quantisation_is_part_of_the_estimated_noise(simulate: Callable[..., object]) -> None:
@@ -240,8 +283,8 @@ def test_estimated_noise_has_a_lower_limit(simulate: Callable[..., object]) -> N
 def test_noise_is_constant_without_adaptation() -> None:
     extractor = Extractor(NOISE, adapt_noise=False)
     angles = np.linspace(-1, 1, 200)
-    assert extractor.extract(square_room(angles, noise=0.03), angles).noise is NOISE
-    assert extractor.noise is NOISE
+    assert extractor.extract(square_room(angles, noise=0.03), angles).noise == GIVEN
+    assert extractor.noise == GIVEN
 
 
 def test_extraction_is_deterministic(simulate: Callable[..., object]) -> None:

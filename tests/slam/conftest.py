@@ -13,6 +13,7 @@ from ruamel.yaml import YAML
 from typer.testing import CliRunner, Result
 
 from drivers.messages import Message, Odometry, Scan
+from features import LearnedNoise
 from slam.cli.app import app
 from slam.config import Config
 from slam.estimation.slam_state import SlamState
@@ -78,7 +79,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> Iterator[t
             history = OdometryHistory()
             for reading in self.odometry:
                 history.add(reading)
-            return StoredSession(Config(), SlamState(Config()), [], [history], [0], 0.01)
+            return StoredSession(Config(), SlamState(Config()), [], [history], [0], LearnedNoise(0.01, 0.001, 0.01))
 
         def finish(self) -> Finished:
             for k in range(self.notices):

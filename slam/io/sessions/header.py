@@ -14,7 +14,6 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from ...errors import MapError
 from ...estimation.slam_state import Anchor, TrackingCheckpoint
-from ...geometry.segments import Floats
 from ...graph.factors import GraphState
 from ...localisation.slip_statistics import SlipStatistics
 from ...localisation.tracking import PoseFix, TrackerState
@@ -24,6 +23,7 @@ from ..json_files import read_json
 from .agreement import AgreementRecord, agreement_record
 from .local_field import LocalFieldRecord, local_field_record, local_field_state
 from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
+from .sensor_models import SensorModelsRecord
 
 FORMAT = "wclm-slam session"
 SESSION_VERSION = 9
@@ -113,19 +113,6 @@ class _Part(Record):
     measured: bool
 
 
-class _SensorModels(Record):
-    sigma_range: Finite = Field(gt=0.0)
-    odometry_samples: list[list[Finite]]
-    roughness_samples: list[Finite]
-    second_sigma_range: Finite | None = Field(default=None, gt=0.0)
-
-    @model_serializer(mode="wrap")
-    def _without_second_lidar(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields; that of a second lidar, which few robots have, only if there is one."""
-        fields: dict[str, Any] = serialize(self)
-        return {name: value for name, value in fields.items() if value is not None}
-
-
 class SessionHeader(Record):
     """Contents of `session.json`.
 
@@ -145,7 +132,7 @@ class SessionHeader(Record):
     checkpoint: _Checkpoint
     agreement: AgreementRecord
     graph: _Graph
-    sensor_models: _SensorModels
+    sensor_models: SensorModelsRecord
     parts: list[_Part] = Field(default_factory=list)
     joins: dict[int, AgreementRecord] = Field(default_factory=dict)
 
@@ -164,14 +151,13 @@ class SessionHeader(Record):
         loops: LoopAgreementState,
         joins: Mapping[int, LoopAgreementState],
         graph: GraphState,
-        sensor_models: tuple[float, Floats, Floats, float | None],
+        sensor_models: SensorModelsRecord,
         parts: MapParts,
     ) -> SessionHeader:
         """Make the header of a session.
 
-        loops, joins   state of the search for loops, and of those for joins, by the group of parts that is searched
-        sensor_models  standard deviation of a range (metres), samples of the odometry model (n, 6), samples of the wall
-                       roughness (m,), and standard deviation of a range of the second lidar, None if there is none
+        `loops` and `joins` are the state of the search for loops, and of those for joins, by the group of parts that is
+        searched.
         """
         return cls(
             recordings=recordings,
@@ -179,12 +165,7 @@ class SessionHeader(Record):
             checkpoint=_checkpoint_record(checkpoint),
             agreement=agreement_record(loops),
             graph=_Graph(updates=graph.updates, qr=graph.qr, range_bias=graph.bias, waiting=graph.waiting),
-            sensor_models=_SensorModels(
-                sigma_range=sensor_models[0],
-                odometry_samples=sensor_models[1].tolist(),
-                roughness_samples=sensor_models[2].tolist(),
-                second_sigma_range=sensor_models[3],
-            ),
+            sensor_models=sensor_models,
             parts=_part_records(parts),
             joins={group: agreement_record(state) for group, state in joins.items()} if parts.apart else {},
         )

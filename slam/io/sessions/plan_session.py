@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from features import LearnedNoise
+
 from ...config import Config
 from ...estimation.slam_state import Anchor, SlamState, TrackingCheckpoint
 from ...geometry.segments import Floats
@@ -48,7 +50,8 @@ def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
     )
     poses = np.array([view.pose for view in views])
     history = OdometryHistory.from_arrays(np.array(stamps), poses)
-    return StoredSession(config, state, scans, [history], [0], config.lidar.sigma_range)
+    sigma_range, sigma_bearing = config.lidar.sigma_range, config.lidar.sigma_bearing
+    return StoredSession(config, state, scans, [history], [0], LearnedNoise(sigma_range, sigma_bearing, sigma_range))
 
 
 def _scan(stamp: float, view: PlanView) -> ProcessedScan:

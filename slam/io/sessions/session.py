@@ -31,6 +31,7 @@ from .odometry import read_odometry, write_odometry
 from .queued_scans import read_queued_scans, write_queued_scans
 from .references import check_factors, check_landmarks, check_variables
 from .scans import ScanRecords, read_scans, write_recent_keyframes, write_scans
+from .sensor_models import SensorModelsRecord
 
 HEADER = "session.json"
 SCANS = "scans.parquet"
@@ -72,11 +73,8 @@ def write_session(directory: Path, session: StoredSession) -> None:
         slam_state.loops.state,
         slam_state.joins.states,
         graph,
-        (
-            session.sigma_range,
-            slam_state.odometry_model.samples,
-            mapper.roughness.samples,
-            session.second_sigma_range,
+        SensorModelsRecord.from_models(
+            session.noise, slam_state.odometry_model.samples, mapper.roughness.samples, session.second_noise
         ),
         mapper.landmarks.parts,
     )
@@ -114,11 +112,11 @@ def read_session(path: Path, *, solve: bool = True) -> StoredSession:
         scans=scans.scans,
         odometry=read_odometry(folder / ODOMETRY),
         starts=list(header.segment_starts),
-        sigma_range=header.sensor_models.sigma_range,
+        noise=header.sensor_models.noise,
         recordings=list(header.recordings),
         loop_decisions=read_loop_decisions(folder / LOOP_DECISIONS),
         queued_scans=read_queued_scans(folder / QUEUED_SCANS),
-        second_sigma_range=header.sensor_models.second_sigma_range,
+        second_noise=header.sensor_models.second_noise,
     )
 
 

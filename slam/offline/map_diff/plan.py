@@ -49,7 +49,7 @@ def compare_with_plan(plan: Survey, state: SlamState, session: StoredSession) ->
     state    of the finished run
     session  of the same run, for its scans
     """
-    finished = StoredSession(session.config, state, session.scans, (), session.starts, session.sigma_range)
+    finished = StoredSession(session.config, state, session.scans, (), session.starts, session.noise)
     new = survey_settled(finished, settled_wall_map(state.mapper))
     supported = state.mapper.graph.plan_walls()
     return find_changes(plan, new, np.zeros(3), FALSE_DISCOVERY_RATE, supported), new.wall_map

@@ -240,6 +240,7 @@ def details(summary: dict[str, Any], settings: str) -> str:
         ("seed of the simulation", summary.get("seed")),
         ("factors in the graph", slam.get("factors")),
         ("estimated range noise, metres", slam.get("sigma_range")),
+        ("estimated bearing noise, radians", slam.get("sigma_bearing")),
         ("estimated range bias and its standard deviation, metres", _range_bias(slam.get("range_bias"))),
         ("estimated wall roughness, metres", slam.get("wall_roughness")),
         ("estimated bends of walls, metres", (slam.get("wall_bends") or {}).get("sigma")),

@@ -18,8 +18,9 @@ from hypothesis import strategies as st
 
 from drivers import se2
 from drivers.simulation import Simulation
+from features import LearnedNoise
 from slam import Slam
-from slam.config import Config, config_to_toml
+from slam.config import Config, LidarConfig, config_to_toml
 from slam.errors import MapError, SlamError
 from slam.graph.graph_storage import graph_state
 from slam.io.output_dir import CONFIG, SESSION
@@ -367,6 +368,17 @@ def test_a_landmark_of_the_graph_without_a_variable_is_refused(
     pq.write_table(confirmed, file)
     with pytest.raises(MapError, match=rf"the {kind} \d+ is confirmed, but is no variable of the graph"):
         read_session(path)
+
+
+def test_the_noise_of_rays_is_kept(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    session, path = written[0], shutil.copytree(written[1], tmp_path / "out")
+    assert read_session(path).noise == session.noise
+    header = path / SESSION / HEADER
+    data = json.loads(header.read_text())
+    del data["sensor_models"]["sigma_bearing"], data["sensor_models"]["segmentation_range"]
+    header.write_text(json.dumps(data))
+    sigma_range = session.noise.sigma_range
+    assert read_session(path).noise == LearnedNoise(sigma_range, LidarConfig().sigma_bearing, sigma_range)
 
 
 @pytest.mark.parametrize("value", [0.0, -0.01])

@@ -1,0 +1,72 @@
+"""Models of the sensors that a drive has learned, as part of `session.json`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+
+from features import LearnedNoise
+
+from ...config import LidarConfig
+from ...geometry.segments import Floats
+from .records import Finite, Record
+
+
+class SensorModelsRecord(Record):
+    """Noise of rays, and samples of odometry's errors and of the wall roughness.
+
+    sigma_range, sigma_bearing, segmentation_range  see `LearnedNoise`; sessions that were made when the bearing noise
+                      was not estimated have the first only
+    odometry_samples  (n, 8)
+    roughness_samples (m,)
+    second_*          of the second lidar; None if there is none
+    """
+
+    sigma_range: Finite = Field(gt=0.0)
+    sigma_bearing: Finite | None = Field(default=None, gt=0.0)
+    segmentation_range: Finite | None = Field(default=None, gt=0.0)
+    odometry_samples: list[list[Finite]]
+    roughness_samples: list[Finite]
+    second_sigma_range: Finite | None = Field(default=None, gt=0.0)
+    second_sigma_bearing: Finite | None = Field(default=None, gt=0.0)
+    second_segmentation_range: Finite | None = Field(default=None, gt=0.0)
+
+    @classmethod
+    def from_models(
+        cls, noise: LearnedNoise, odometry_samples: Floats, roughness_samples: Floats, second_noise: LearnedNoise | None
+    ) -> SensorModelsRecord:
+        """Make the record from the noise of a ray of each lidar, the second one None if there is none, and samples."""
+        return cls(
+            sigma_range=noise.sigma_range,
+            sigma_bearing=noise.sigma_bearing,
+            segmentation_range=noise.segmentation_range,
+            odometry_samples=odometry_samples.tolist(),
+            roughness_samples=roughness_samples.tolist(),
+            second_sigma_range=second_noise and second_noise.sigma_range,
+            second_sigma_bearing=second_noise and second_noise.sigma_bearing,
+            second_segmentation_range=second_noise and second_noise.segmentation_range,
+        )
+
+    @property
+    def noise(self) -> LearnedNoise:
+        """Noise of a ray of the lidar."""
+        return _noise(self.sigma_range, self.sigma_bearing, self.segmentation_range)
+
+    @property
+    def second_noise(self) -> LearnedNoise | None:
+        """Noise of a ray of the second lidar; None if there is none."""
+        if self.second_sigma_range is None:
+            return None
+        return _noise(self.second_sigma_range, self.second_sigma_bearing, self.second_segmentation_range)
+
+    @model_serializer(mode="wrap")
+    def _without_second_lidar(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Return the fields; those of a second lidar, which few robots have, only if there is one."""
+        fields: dict[str, Any] = serialize(self)
+        return {name: value for name, value in fields.items() if value is not None}
+
+
+def _noise(sigma_range: float, sigma_bearing: float | None, segmentation_range: float | None) -> LearnedNoise:
+    """Return the noise of a ray; what an earlier version has not written is that of a data sheet, or the same."""
+    return LearnedNoise(sigma_range, sigma_bearing or LidarConfig().sigma_bearing, segmentation_range or sigma_range)
