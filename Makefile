@@ -82,7 +82,7 @@ gallery: $(READY)
 	$(BIN)/wclm demo --gallery docs/pictures
 
 lock:
-	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --output-file requirements.lock
+	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras --output-file requirements.lock
 
 clean:
 	rm -rf $(VENV) demo dist build site .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage
