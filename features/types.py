@@ -11,6 +11,8 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
+# What is created for every scan is not frozen: the construction of a frozen dataclass takes five times as long.
+
 
 @dataclass(frozen=True, slots=True)
 class Noise:
@@ -30,7 +32,7 @@ class LearnedNoise(Noise):
     segmentation_range: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Lines:
     """n fitted wall segments, in the order of their bearings.
 
@@ -60,7 +62,7 @@ class Lines:
         return len(self.uv)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Corners:
     """m intersections of neighbouring lines.
 
@@ -77,7 +79,7 @@ class Corners:
         return len(self.position)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Features:
     """Lines and corners of one scan, and the noise from which their covariances are propagated."""
 
