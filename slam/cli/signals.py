@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import os
 import signal
 import stat
@@ -91,6 +90,7 @@ def _is_in_compiler(frame: FrameType | None) -> bool:
 
 
 def _repeat_later(number: int) -> None:
-    timer = threading.Timer(REPEAT_DELAY, _thread.interrupt_main, [number])
+    """Send a signal to the main thread in a moment, where it also interrupts a call of the system, such as a wait."""
+    timer = threading.Timer(REPEAT_DELAY, signal.pthread_kill, [threading.main_thread().ident, number])
     timer.daemon = True
     timer.start()
