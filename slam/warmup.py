@@ -31,7 +31,6 @@ from .localisation.match_target import MatchTarget
 from .localisation.moving_objects import match_without_moving
 from .localisation.view_change import View
 from .loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
-from .loop_closure.relocalisation import index_map, relocalise, submap_of
 from .loop_closure.submap_search import build_submap, search_submap
 from .mapping.convergence import converge
 from .mapping.landmarks import Landmarks
@@ -49,6 +48,7 @@ from .preprocessing.preprocessor import Preprocessor, ProcessedScan
 from .recognition.drive_scans import DriveScans
 from .recognition.evidence import compare_cells
 from .recognition.location import LOST, locate
+from .recognition.map_index import index_map
 from .recognition.placements import Placement
 from .recognition.scanned_map import scan_map
 
@@ -176,10 +176,9 @@ def _check_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
 
 
 def _recognise(state: SlamState) -> None:
-    """Search for a drive in its own map, in both ways that recognise a place without a prior."""
+    """Search for a drive in its own map."""
     mapper, rows = state.mapper, np.arange(state.mapper.keyframe_count)
     index, points = index_map(mapper), state.local_field.points_of(rows)
-    relocalise(submap_of(mapper), index)
     known, drive = scan_map(index, mapper.keyframe_poses, points), DriveScans().take(mapper, state.local_field, 0)
     locate(drive, known, LOST)
     alone = Placement(np.array([submap.pose for submap in drive.submaps]), np.zeros((len(drive.submaps), 3, 3)))

@@ -72,7 +72,7 @@ class PlanPrior:
         if self.recognised:
             self._support_observed(mapper)
             if mapper.travelled[-1] - mapper.travelled[self._anchored] < SUBMAP_LENGTH:
-                self._recognition.discard_found()
+                self._recognition.discard_submaps()
                 return False
         found = self._recognition.search(mapper, local_field, self._anchored if self.recognised else None)
         if found is None:
@@ -163,7 +163,7 @@ class PlanPrior:
         graph.update_until_converged(CLOSING_UPDATES)
         mapper.read_back_all()
         self._anchored = last
-        self._recognition.discard_found()
+        self._recognition.discard_submaps()
         return True
 
     # --- support

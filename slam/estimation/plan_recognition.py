@@ -1,9 +1,8 @@
 """Recognition in a plan: find the motion that moves the map to the plan's frame, or corrects its drift there.
 
-Until the map is in the plan's frame, all submaps of the drive are searched together in the whole plan, and the evidence
-of all of them decides; see `recognition.location`. If the pose at the first scan is roughly known, it is enough that
-the walls fit the plan there. Later the walls seen recently are searched where the robot may be by its uncertainty, and
-two places a submap apart must give the same motion.
+All submaps of the drive are searched together, and the evidence of all of them decides; see `recognition.location`.
+Until the map is in the plan's frame, they are searched in the whole plan, later where they may be by their uncertainty.
+If the pose at the first scan is roughly known, it is enough that the walls fit the plan there.
 """
 
 from __future__ import annotations
@@ -17,12 +16,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..loop_closure.criteria import SUPPORT_RATIO
-from ..loop_closure.look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, UNMODELLED_SIGMAS
-from ..loop_closure.map_descriptor import express_in_frame
-from ..loop_closure.relocalisation import MIN_SUBMAP_OVERLAP, MIN_WALLS, MapIndex, index_map, relocalise, submap_of
-from ..loop_closure.submap_alignment import align_submap, sample_walls
-from ..loop_closure.submap_search import are_distinct
+from ..loop_closure.look import MAX_SQUARED_DISTANCE, UNMODELLED_SIGMAS
 from ..mapping.plan_map import PlanMap
 from ..mapping.plan_mapper import plan_mapper
 from ..matching.point_matcher import POINT_SPACING
@@ -30,7 +24,11 @@ from ..matching.scan_points import surface_points
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
 from ..recognition.drive_scans import DriveScans
 from ..recognition.location import STATED, locate
+from ..recognition.map_descriptor import describe_map, express_in_frame
+from ..recognition.map_index import MIN_WALLS, MapIndex, index_map
+from ..recognition.placements import Uncertainty
 from ..recognition.scanned_map import ScannedMap, scan_map
+from ..recognition.submap_alignment import align_submap, sample_walls
 
 if TYPE_CHECKING:
     from ..localisation.local_field import LocalField
@@ -41,6 +39,9 @@ RECENT_DISTANCE = 15.0
 # Keyframes and metres of driving between two searches. Origin: chosen; not measured.
 ATTEMPT_KEYFRAMES = 3
 ATTEMPT_DISTANCE = 1.0  # Origin: as ATTEMPT_KEYFRAMES.
+# Share of the observed wall length that must lie on the plan's walls at a roughly known pose.
+# Origin: chosen; not measured.
+MIN_WALLS_ON_PLAN = 0.55
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +59,7 @@ class PlacedMap:
 
 
 class PlanRecognition:
-    """A plan prepared for recognition, and the motions into it that were found in the last metres."""
+    """A plan prepared for recognition, and the submaps of the drive that are searched for in it."""
 
     def __init__(self, plan_map: PlanMap, start: se2.Pose | None, start_covariance: Floats) -> None:
         """Prepare a plan for recognition. Raises MapError if it shows too little.
@@ -68,19 +69,17 @@ class PlanRecognition:
         self._index = index_map(plan_mapper(plan_map))
         self._map, self._drive = _scan_plan(plan_map, self._index), DriveScans()
         self._start, self._start_covariance = start, start_covariance
-        self._found: list[tuple[se2.Pose, float]] = []  # motions into the plan, and the metres driven
         self._last_keyframe, self._last_distance = -ATTEMPT_KEYFRAMES, -ATTEMPT_DISTANCE
 
     def __deepcopy__(self, memo: dict[int, object]) -> PlanRecognition:
         """Return an independent copy; index and map of the plan are never changed and are shared."""
         other = copy.copy(self)
         other._drive = copy.deepcopy(self._drive)
-        other._found = list(self._found)
         return other
 
-    def discard_found(self) -> None:
-        """Discard the motions found so far: the plan supports the walls around the robot again."""
-        self._found.clear()
+    def discard_submaps(self) -> None:
+        """Discard the submaps of the drive: the plan supports the walls around the robot again."""
+        self._drive.clear()
 
     def search(self, mapper: Mapper, local_field: LocalField, anchored: int | None) -> PlacedMap | None:
         """Return the place of the map in the plan if it is certain.
@@ -93,47 +92,25 @@ class PlanRecognition:
             return None
         self._last_keyframe, self._last_distance = last, now
         recent = (travelled > now - RECENT_DISTANCE) & mapper.landmarks.parts.connected(np.arange(last + 1))
-        if anchored is not None:
-            return self._confirm(mapper, self._find_admitted(mapper, recent, anchored))
-        if self._start is not None:
+        if anchored is None and self._start is not None:
             aligned = self._align(mapper, recent, self._start, self._start_covariance)
             if aligned is not None:
                 return aligned
-        return self.find(mapper, local_field) if self._drive.is_due(mapper, _first(mapper)) else None
+        first = _first(mapper) if anchored is None else anchored + 1
+        return self.find(mapper, local_field, anchored) if self._drive.is_due(mapper, first) else None
 
-    def find(self, mapper: Mapper, local_field: LocalField) -> PlacedMap | None:
-        """Search for the drive up to now in the whole plan; the result is that of `search`."""
-        location = locate(self._drive.take(mapper, local_field, _first(mapper)), self._map, STATED)
+    def find(self, mapper: Mapper, local_field: LocalField, anchored: int | None = None) -> PlacedMap | None:
+        """Search for the drive up to now; arguments and result are those of `search`."""
+        first, near = _first(mapper), None
+        if anchored is not None:
+            covariance = _pose_covariance(mapper, anchored) + np.diag(UNMODELLED_SIGMAS**2)
+            first, near = anchored + 1, Uncertainty(covariance)
+        location = locate(self._drive.take(mapper, local_field, first), self._map, STATED, near)
         if not location.accepted:
             return None
         member = location.members[-1]
         covariance = rotate_covariance(member.covariance, float(member.pose[2]))
         return PlacedMap(member.motion, member.keyframes[-1], covariance)
-
-    def _confirm(self, mapper: Mapper, found: PlacedMap | None) -> PlacedMap | None:
-        """Return a motion that was found if one a submap before was the same, and few others were found since."""
-        if found is None:
-            return None
-        here, now = se2.compose(found.motion, mapper.pose), float(mapper.travelled[-1])
-        agrees = [not are_distinct(here, se2.compose(motion, mapper.pose)) for motion, _ in self._found]
-        before = [distance for (_, distance), agreeing in zip(self._found, agrees, strict=True) if agreeing]
-        self._found.append((found.motion, now))
-        certain = bool(before) and now - before[0] >= SUBMAP_LENGTH
-        return found if certain and (len(before) + 1) >= SUPPORT_RATIO * (len(agrees) - len(before)) else None
-
-    def _find_admitted(self, mapper: Mapper, observers: np.ndarray, anchored: int) -> PlacedMap | None:
-        """Search the walls of some keyframes (k,) in the plan where the robot may be by its uncertainty."""
-        found = relocalise(submap_of(mapper, observers), self._index)
-        if found is None or not found.verdict.plausible:
-            return None
-        pose, covariance = mapper.pose, _pose_covariance(mapper, anchored) + np.diag(UNMODELLED_SIGMAS**2)
-        errors = [se2.between(pose, se2.compose(motion, pose)) for motion in (found.motion, *found.rivals)]
-        near = [bool(error @ np.linalg.solve(covariance, error) < MAX_SQUARED_DISTANCE) for error in errors]
-        if sum(near) != 1:
-            return None
-        motion = (found.motion, *found.rivals)[near.index(True)]
-        here, there = se2.compose(motion, pose), np.diag(np.diag(covariance))
-        return self._align(mapper, observers, se2.compose(here, se2.inverse(pose)), there)
 
     def _align(
         self, mapper: Mapper, observers: np.ndarray, start: se2.Pose, start_covariance: Floats
@@ -144,7 +121,7 @@ class PlanRecognition:
         """
         keyframe = int(np.flatnonzero(observers)[-1])
         pose = mapper.keyframe_poses[keyframe]
-        observed = express_in_frame(pose, submap_of(mapper, observers).descriptor)
+        observed = express_in_frame(pose, describe_map(mapper.landmarks, mapper.roughness.variance, observers))
         if len(observed) < MIN_WALLS:
             return None
         guess = se2.compose(start, pose)
@@ -152,7 +129,7 @@ class PlanRecognition:
         motion = se2.compose(alignment.pose, se2.inverse(pose))
         error, covariance = se2.between(guess, alignment.pose), np.linalg.inv(alignment.information)
         near = error @ np.linalg.solve(start_covariance, error) < MAX_SQUARED_DISTANCE
-        fits = alignment.length >= MIN_SUBMAP_OVERLAP * float(alignment.observed.sum())
+        fits = alignment.length >= MIN_WALLS_ON_PLAN * float(alignment.observed.sum())
         return PlacedMap(motion, keyframe, np.asarray(covariance)) if near and fits else None
 
 

@@ -1,1 +1,1 @@
-"""Place recognition after drift, loop closure, and relocalisation in a known map."""
+"""Place recognition after drift, and loop closure."""

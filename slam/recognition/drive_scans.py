@@ -8,8 +8,8 @@ import numpy as np
 
 from ..localisation.local_field import LocalField
 from ..loop_closure.look import SUBMAP_LENGTH
-from ..loop_closure.map_descriptor import describe_map, express_in_frame
 from ..mapping.mapper import Mapper
+from .map_descriptor import describe_map, express_in_frame
 from .scanned_map import ScannedDrive, SubmapScan, scan_drive, scan_submap
 
 # Submaps that are searched for. Origin: measured, of 90 searches in worlds of equal places, those that were decided had

@@ -23,10 +23,10 @@ from ..loop_closure.criteria import confirm, differ
 from ..loop_closure.decision import Check, LoopDecision, LoopMatch
 from ..loop_closure.look import Look, Submaps
 from ..loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
-from ..loop_closure.relocalisation import index_map
 from ..mapping.mapper import Mapper
 from .drive_scans import DriveScans
 from .location import LOST, Expectation, Location, PlacedSubmap, locate
+from .map_index import index_map
 from .scanned_map import ScannedMap, scan_map
 
 

@@ -20,7 +20,7 @@ from ..loop_closure.criteria import MAX_MATCH_SIGMA, MIN_KNOWN, MIN_LOOP_FIT
 from ..loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN, DISTORTION_SIGMAS, NO_PRIOR, are_distinct
 from ..matching.point_matcher import point_cost
 from .evidence import chances_of_fit, compare_cells, evidence_of
-from .placements import Placement, find_placements, matched_walls
+from .placements import Placement, Uncertainty, find_placements, matched_walls
 from .scanned_map import ScannedDrive, ScannedMap
 
 # Rival placements that a refusal names. Origin: chosen, for a message of some lines.
@@ -106,8 +106,8 @@ class Location:
         return bool(self.members)
 
 
-def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation) -> Location:
-    """Search for a drive in a map, and decide on its placement.
+def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation, near: Uncertainty | None = None) -> Location:
+    """Search for a drive in a map, or `near` the place that it has there already, and decide on its placement.
 
     Before, the drive is in the map with the `expected` probability, at each of its places with the same one; else it
     is at an unknown place. By Bayes' theorem, the evidence of each placement gives its probability, and the sum over
@@ -115,11 +115,12 @@ def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation) -> Locatio
     placement if it is wrong with a probability of at most `expected.error`. So a drive that fits in several places is
     refused, however well it fits in each.
     """
-    placements, count = find_placements(new, old), len(new.submaps)
+    placements, count = find_placements(new, old, near), len(new.submaps)
     if not placements:
         reason = f"none of its {count} submaps lies on walls of it"
         return Location(count, (), -math.inf, expected.required, -math.inf, reason)
-    comparison = _Comparison(new, old, placements, expected)
+    places = number_of_places(old.seen_area, near)
+    comparison = _Comparison(new, old, placements, expected, places)
     odds = [comparison.odds(row) for row in range(count)]
     certain = [row for row in comparison.fitting() if odds[row] >= expected.required]
     members = [comparison.place(row) for row in certain] if comparison.mapped >= expected.mapped else []
@@ -127,23 +128,32 @@ def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation) -> Locatio
     return replace(decided, reason=comparison.reason(decided))
 
 
-def number_of_places(area: float) -> float:
-    """Return how many places a map that has seen `area` square metres has, those that the search distinguishes."""
-    return area / (2.0 * DISTINCT_SHIFT) ** 2 * math.pi / DISTINCT_TURN
+def number_of_places(area: float, near: Uncertainty | None = None) -> float:
+    """Return how many places the search distinguishes in a map that has seen `area` square metres.
+
+    near  admits only some of them
+    """
+    volume = 2.0 * math.pi * area if near is None else min(near.volume, 2.0 * math.pi * area)
+    return volume / (2.0 * DISTINCT_SHIFT) ** 2 / (2.0 * DISTINCT_TURN)
 
 
 class _Comparison:
     """Placements of a drive with the fits and the evidence of each."""
 
     def __init__(
-        self, new: ScannedDrive, old: ScannedMap, placements: Sequence[Placement], expected: Expectation
+        self,
+        new: ScannedDrive,
+        old: ScannedMap,
+        placements: Sequence[Placement],
+        expected: Expectation,
+        places: float,
     ) -> None:
         self._new, self._old, self._placements, self._expected = new, old, placements, expected
         self._fits = [compare_cells(new, old, placement) for placement in placements]
         chances = chances_of_fit(self._fits)
         self._evidence = np.array([evidence_of(*pair) for pair in zip(self._fits, chances, strict=True)])
         self._best = int(np.argmax(self._evidence))
-        self._log_places = math.log(max(1.0, number_of_places(old.seen_area)))
+        self._log_places = math.log(max(1.0, places))
         self._unknown = self._log_places + math.log((1.0 - expected.prior) / expected.prior)
         points = [submap.points.points for submap in new.submaps]
         poses = placements[self._best].poses

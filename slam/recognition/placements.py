@@ -7,6 +7,7 @@ its own drift, and no farther.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -15,11 +16,12 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from ..loop_closure.relocalisation import align_candidates
-from ..loop_closure.submap_alignment import align_submap, sample_walls
+from ..loop_closure.look import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
 from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
-from .scanned_map import ScannedDrive, ScannedMap
+from .map_index import align_candidates
+from .scanned_map import PlacedScan, ScannedDrive, ScannedMap
+from .submap_alignment import align_submap, sample_walls
 
 # Placements that are compared, those first in which a submap has most wall length on walls of the other map.
 # Origin: chosen, for speed; not measured.
@@ -27,6 +29,26 @@ MAX_PLACEMENTS = 64
 # Metres, metres, radians: standard deviations of a candidate from walls, the last gates of `submap_alignment`.
 # Origin: definition.
 ALIGNMENT_SIGMAS = np.array([0.2, 0.2, 0.05])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """Uncertainty of a drive whose map is already in the frame of the other one, but has drifted.
+
+    covariance  (3, 3) of the pose of its last keyframe, in the pose's frame
+    """
+
+    covariance: Floats
+
+    def admits(self, submap: PlacedScan, pose: se2.Pose) -> bool:
+        """Return True if a submap may be at a pose in the other map. No submap has drifted farther than the last."""
+        error = se2.between(submap.pose, pose)
+        return bool(error @ np.linalg.solve(self.covariance, error) < MAX_SQUARED_DISTANCE)
+
+    @property
+    def volume(self) -> float:
+        """Square metres times radians of the poses that are admitted, an ellipsoid."""
+        return 4.0 / 3.0 * math.pi * math.sqrt(MAX_SQUARED_DISTANCE**3 * float(np.linalg.det(self.covariance)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,10 +68,13 @@ class Placement:
         return [submap for submap, (pose, rival) in pairs if are_distinct(pose, rival)]
 
 
-def find_placements(new: ScannedDrive, old: ScannedMap) -> list[Placement]:
-    """Return the different placements of a map in another one that walls of its submaps suggest."""
+def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None = None) -> list[Placement]:
+    """Return the different placements of a map in another one that walls of its submaps suggest.
+
+    near  admits only some poses, and suggests the one that the drive has by its own map; None if it may be anywhere
+    """
     placements: list[Placement] = []
-    for submap, pose in _candidates(new, old):
+    for submap, pose in _candidates(new, old, near):
         if any(not are_distinct(placement.poses[submap], pose) for placement in placements):
             continue
         placement = _refine(new, old, submap, pose)
@@ -60,15 +85,18 @@ def find_placements(new: ScannedDrive, old: ScannedMap) -> list[Placement]:
     return placements
 
 
-def _candidates(new: ScannedDrive, old: ScannedMap) -> Iterator[tuple[int, se2.Pose]]:
+def _candidates(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> Iterator[tuple[int, se2.Pose]]:
     """Yield submaps with their poses in the other map at which walls coincide, most wall length first."""
     found = [
         (alignment.length, row, alignment.pose)
         for row, submap in enumerate(new.submaps)
-        for alignment in align_candidates(submap.scan.descriptor, old.index, MAX_PLACEMENTS)
+        for alignment in align_candidates(submap.scan.descriptor, old.index)
+        if near is None or near.admits(submap, alignment.pose)
     ]
     for _, row, pose in sorted(found, key=lambda candidate: -candidate[0]):
         yield row, pose
+    if near is not None:
+        yield len(new.submaps) - 1, new.submaps[-1].pose
 
 
 def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> Placement:

@@ -17,13 +17,13 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
-from ..loop_closure.map_descriptor import MapDescriptor
-from ..loop_closure.relocalisation import MapIndex
 from ..loop_closure.submap_search import DISTORTION_SIGMAS, build_submap
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
 from ..matching.point_costs import points_cost
+from .map_descriptor import MapDescriptor
+from .map_index import MapIndex
 
 # Metres, side of a cell: the width of a door, or of a piece of furniture. Origin: chosen, with 2 m the walls of a
 # single room are too few cells to decide by.

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Message
 from drivers.simulation import Simulation
 from drivers.simulation.world import load_world
 from slam import Slam
-from slam.config import Config, config_to_toml
+from slam.config import Config, LoopClosureConfig, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
 from slam.events import Finished, Notice
@@ -150,6 +151,19 @@ def test_a_robot_localises_in_a_plan_from_anywhere(drive: list[Message], kind: s
     finished = run(messages, Slam(resumed=plan_session(plan, Config()), frozen=True))
     assert finished.stamps[0] < begin + 1.0
     assert errors(finished, messages).max() < (0.02 if kind == "drawing" else 0.05)
+
+
+def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns() -> None:
+    """The plan shows the southern part of a building. With bad wheels, the drift in the other part is metres."""
+    segments = load_world("square").segments.reshape(-1, 2, 2)
+    shown = segments[segments[..., 1].max(axis=1) < 5.0]
+    plan = build_plan_map(Plan("square", shown, np.zeros(len(shown), dtype=bool), 1e-3), SIGMAS)
+    messages = list(drivers.open("sim:square?seed=2&lidar=short&odometry=bad"))
+    start = next(message.pose for message in messages if isinstance(message, GroundTruth))
+    config = Config(loop_closure=LoopClosureConfig(enabled=False))
+    alone, planned = (run(messages, Slam(config, plan=one, start=start)) for one in (None, plan))
+    assert errors(alone, messages, aligned=True).max() > 1.0
+    assert errors(planned, messages).max() < 0.3
 
 
 def test_a_refined_map_is_supported_by_the_plan(drive: list[Message]) -> None:

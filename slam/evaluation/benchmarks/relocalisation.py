@@ -20,10 +20,10 @@ from ...config import Config
 from ...errors import MapError
 from ...estimation.slam_state import SlamState
 from ...geometry.segments import Floats
-from ...loop_closure.relocalisation import index_map
 from ...pipeline import Slam
 from ...recognition.drive_scans import DriveScans
 from ...recognition.location import LOST, locate
+from ...recognition.map_index import index_map
 from ...recognition.scanned_map import ScannedMap, scan_map
 
 SUBMAP_LENGTHS = 2.0, 4.0, 6.0  # metres travelled while a submap is built

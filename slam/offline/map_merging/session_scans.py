@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from ...estimation.refinement.scan_history import ScanHistory
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
-from ...loop_closure.map_descriptor import express_in_frame
-from ...loop_closure.relocalisation import index_map
 from ...matching.point_matcher import POINT_SPACING
 from ...matching.scan_points import surface_points
+from ...recognition.map_descriptor import express_in_frame
+from ...recognition.map_index import index_map
 from ...recognition.scanned_map import ScannedDrive, ScannedMap, scan_drive, scan_map, scan_submap
 from .submaps import split_into_submaps
 
@@ -30,9 +30,9 @@ def drive_of(session: StoredSession) -> ScannedDrive:
     """Prepare a session that has keyframes to be searched for."""
     mapper, history = session.slam_state.mapper, session.scan_history()
     poses, points, scans = mapper.keyframe_poses, _keyframe_points(history), []
-    for keyframes, submap in split_into_submaps(mapper, history):
+    for keyframes, walls in split_into_submaps(mapper, history):
         own = slice(keyframes.start, keyframes.stop)
-        descriptor = express_in_frame(submap.pose, submap.descriptor)
+        descriptor = express_in_frame(poses[keyframes[-1]], walls)
         scans.append(scan_submap(keyframes, descriptor, poses[own], points[own]))
     return scan_drive(mapper, scans, SESSION_CELL)
 

@@ -10,31 +10,29 @@ import numpy as np
 
 from ...estimation.refinement.landmark_recount import recompute_covariances, recount_observations
 from ...estimation.refinement.scan_history import ScanHistory
-from ...loop_closure.map_descriptor import describe_map
-from ...loop_closure.relocalisation import Submap
 from ...mapping.keyframes import LandmarkIds
-from ...mapping.mapped_keyframes import MAX_RECENT_SEGMENTS
 from ...mapping.mapper import Mapper
 from ...mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
+from ...recognition.map_descriptor import MapDescriptor, describe_map
 
 SUBMAP_DISTANCE = 6.0
 """Travelled distance of a submap, metres."""
 
 
-def split_into_submaps(mapper: Mapper, history: ScanHistory) -> Iterator[tuple[range, Submap]]:
-    """Yield submaps of SUBMAP_DISTANCE each, with their keyframes; consecutive, without overlap.
+def split_into_submaps(mapper: Mapper, history: ScanHistory) -> Iterator[tuple[range, MapDescriptor]]:
+    """Yield the keyframes of submaps of SUBMAP_DISTANCE each, consecutive and without overlap, and their landmarks.
 
-    The frame of a submap is that of the session's map.
+    The landmarks are in the frame of the session's map.
     """
     index = np.floor(np.array(mapper.travelled) / SUBMAP_DISTANCE).astype(int)
     starts = np.flatnonzero(np.diff(index, prepend=-1))
     for first, end in zip(starts, [*starts[1:], len(index)], strict=True):
         keyframes = range(int(first), int(end))
-        yield keyframes, _build_submap(mapper, history, keyframes)
+        yield keyframes, _describe_submap(mapper, history, keyframes)
 
 
-def _build_submap(mapper: Mapper, history: ScanHistory, keyframes: range) -> Submap:
-    """Build a submap from the observations of consecutive keyframes only."""
+def _describe_submap(mapper: Mapper, history: ScanHistory, keyframes: range) -> MapDescriptor:
+    """Describe a submap by the observations of consecutive keyframes only."""
     rows, poses = (
         history.keyframes[keyframes.start : keyframes.stop],
         mapper.keyframe_poses[keyframes.start : keyframes.stop],
@@ -50,5 +48,4 @@ def _build_submap(mapper: Mapper, history: ScanHistory, keyframes: range) -> Sub
     recount_observations(landmarks, part, landmark_ids, poses)
     recompute_covariances(landmarks, part, landmark_ids, poses, mapper.roughness.variance)
     landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
-    views = [(pose, history.scans[row].features.segments) for pose, row in zip(poses, rows, strict=True)]
-    return Submap(describe_map(landmarks, mapper.roughness.variance), poses[-1], views[-MAX_RECENT_SEGMENTS:])
+    return describe_map(landmarks, mapper.roughness.variance)

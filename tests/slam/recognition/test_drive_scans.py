@@ -15,10 +15,10 @@ from slam import Slam
 from slam.estimation.slam_state import SlamState
 from slam.io.tum import Trajectory
 from slam.loop_closure.look import SUBMAP_LENGTH
-from slam.loop_closure.relocalisation import index_map
 from slam.recognition import drive_scans
 from slam.recognition.drive_scans import DriveScans
 from slam.recognition.location import LOST, locate
+from slam.recognition.map_index import index_map
 from slam.recognition.scanned_map import ScannedMap, scan_drive, scan_map
 
 LIDAR = LidarModel(beams=360, rate=5.0)

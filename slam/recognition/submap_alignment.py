@@ -33,10 +33,6 @@ ALIGNMENT_REGULARISATION = 1e-3
 # Metres by which Gauss-Newton may move the submap; bounds the walls that are considered.
 # Origin: chosen, three cells of the pose votes; not measured.
 MAX_ALIGNMENT_SHIFT = 1.5
-# Metres between two matching corners. Origin: chosen; not measured.
-SUBMAP_CORNER_GATE = 0.3
-# Radians between the walls of two matching corners. Origin: chosen; not measured.
-SUBMAP_CORNER_TURN = math.radians(20.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +44,6 @@ class Alignment:
     matches      (n,) row of the map's wall for each wall of the submap, -1 for none
     observed     (n,) observed metres of each wall of the submap
     on_map       (n,) metres of them that lie on walls of the map
-    corners      number of the submap's corners that match corners of the map
     """
 
     pose: se2.Pose
@@ -56,7 +51,6 @@ class Alignment:
     matches: Integers
     observed: Floats
     on_map: Floats
-    corners: int
 
     @property
     def length(self) -> float:
@@ -93,17 +87,7 @@ def align_submap(start: se2.Pose, submap: MapDescriptor, samples: WallSamples, d
     observed, matched = np.zeros(len(submap)), np.zeros(len(submap))
     np.add.at(observed, samples.wall, SAMPLE_SPACING)
     np.add.at(matched, samples.wall, SAMPLE_SPACING * on_map)
-    return Alignment(pose, information, matches, observed, matched, _count_corners(pose, submap, descriptor))
-
-
-def _count_corners(pose: se2.Pose, submap: MapDescriptor, descriptor: MapDescriptor) -> int:
-    """Count the corners of an aligned submap that match corners of the map."""
-    if not len(submap.corners) or not len(descriptor.corners):
-        return 0
-    moved = se2.transform(pose, submap.corners).reshape(-1, 2)
-    near = np.hypot(*np.moveaxis(moved[:, None] - descriptor.corners, -1, 0)) < SUBMAP_CORNER_GATE
-    turned = np.abs(se2.wrap(submap.headings[:, None] + pose[2] - descriptor.headings)).max(axis=-1)
-    return int((near & (turned < SUBMAP_CORNER_TURN)).any(axis=1).sum())
+    return Alignment(pose, information, matches, observed, matched)
 
 
 @compiled

@@ -1,6 +1,6 @@
 """Map descriptor: the confirmed walls and corners of a map, and the observed stretches of the walls.
 
-It is the input of relocalisation, for the map as well as for the submap that is searched in it.
+A submap is searched in a map by the descriptors of both.
 """
 
 from __future__ import annotations
