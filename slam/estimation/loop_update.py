@@ -30,15 +30,15 @@ def search_loop(state: SlamState) -> LoopDecision | None:
 
 def _search_connected(state: SlamState) -> LoopDecision | None:
     """Return the decision to close a loop in the connected part of the map, if there is one."""
-    mapper, parts = state.mapper, state.mapper.landmarks.parts
-    if parts.apart:
-        among = parts.connected(np.arange(mapper.keyframe_count))
-        decision = state.loops.search(mapper, state.local_field, among)
-    else:
-        decision = state.loops.search(mapper, state.local_field)
+    mapper, field = state.mapper, state.local_field
+    among = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count))
+    decision = state.loops.search(mapper, field, among)
     if state.loops.correction_likely:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
-    return decision
+    if decision is not None:
+        return decision
+    decision = state.loop_evidence.search(mapper, field, state.loops, among)
+    return None if decision is None else state.loops.number(decision)
 
 
 def _search_join(state: SlamState) -> LoopDecision | None:
@@ -58,6 +58,7 @@ def close_loop(state: SlamState, observations: KeyframeObservations, decision: L
     if decision.status is LoopStatus.ACCEPTED:
         state.mapper.gauge.hold(state.mapper)
         state.loops.clear()
+        state.loop_evidence.clear()
         state.joins.clear()
         state.local_field.link(decision.old, decision.keyframe)
         for match in decision.matches:

@@ -96,7 +96,7 @@ def confirm(
 ) -> LoopDecision:
     """Return the decision to close the loop of a hypothesis, or to join parts of the map if `joins`.
 
-    look            at the last place that supports it
+    look            from the last keyframe
     rival_support   number of looks that support its strongest rival
     contradictions  number of looks that contradict it
     since           first keyframe of the recent pass, or of the part that is joined
@@ -104,7 +104,7 @@ def confirm(
     count, last = len(hypothesis.support), hypothesis.support[-1]
     return LoopDecision(
         0,
-        last.keyframe,
+        look.last,
         last.old,
         se2.between(look.pose, se2.compose(hypothesis.motion, look.pose)),
         hypothesis.motion,

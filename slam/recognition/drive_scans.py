@@ -26,7 +26,7 @@ class DriveScans:
     """Submaps of SUBMAP_LENGTH metres each, consecutive and without overlap; the last one may be shorter."""
 
     def __init__(self) -> None:
-        self._complete: dict[int, SubmapScan] = {}  # by first keyframe
+        self._complete: dict[range, SubmapScan] = {}  # by keyframes
         self._searched = -math.inf  # metres driven up to the last search
 
     def __deepcopy__(self, memo: dict[int, object]) -> DriveScans:
@@ -53,9 +53,7 @@ class DriveScans:
         starts = first + np.flatnonzero(np.diff(number, prepend=-1))
         ends = [*starts[1:].tolist(), mapper.keyframe_count]
         spans = [range(start, end) for start, end in zip(starts.tolist(), ends, strict=True)][-MAX_SUBMAPS:]
-        self._complete = {
-            span.start: self._complete.get(span.start) or _scan(mapper, local_field, span) for span in spans[:-1]
-        }
+        self._complete = {span: self._complete.get(span) or _scan(mapper, local_field, span) for span in spans[:-1]}
         return scan_drive(mapper, [*self._complete.values(), _scan(mapper, local_field, spans[-1])])
 
 

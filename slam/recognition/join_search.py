@@ -19,15 +19,15 @@ from drivers import se2
 from ..geometry.segments import Integers
 from ..localisation.local_field import LocalField
 from ..loop_closure.agreement import LoopAgreement
-from ..loop_closure.criteria import confirm, differ
-from ..loop_closure.decision import Check, LoopDecision, LoopMatch
+from ..loop_closure.criteria import differ
+from ..loop_closure.decision import LoopDecision
 from ..loop_closure.look import Look, Submaps
-from ..loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
+from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.mapper import Mapper
+from .decision import decide, scan_keyframes
 from .drive_scans import DriveScans
-from .location import LOST, Expectation, Location, PlacedSubmap, locate
-from .map_index import index_map
-from .scanned_map import ScannedMap, scan_map
+from .location import LOST, Expectation, Location, locate
+from .scanned_map import ScannedMap
 
 
 class JoinSearch:
@@ -108,49 +108,14 @@ class JoinSearch:
         drive, found = self._drive.take(mapper, local_field, first), dict[int, Location]()
         for group in np.unique(groups[apart]).tolist():
             if group not in self._maps:
-                self._maps[group] = _scan_group(mapper, local_field, groups == group)
+                self._maps[group] = scan_keyframes(mapper, local_field, groups == group)
             found[group] = locate(drive, self._maps[group], self.expected)
         group = max(found, key=lambda number: found[number].support)
         location, others = found[group], [found[number].support for number in found if number != group]
         if not location.accepted or any(location.support - support < location.required for support in others):
             return None
-        last = location.members[-1]
-        look = Look(mapper, local_field, Submaps(), groups == group, apart=True, keyframe=last.keyframes[-1])
-        if any(not differ(look, last.motion, motion) for motion in self._retracted):
+        look = Look(mapper, local_field, Submaps(), groups == group, apart=True)
+        if any(not differ(look, location.members[-1].motion, motion) for motion in self._retracted):
             return None
-        return _decide(look, mapper, location, np.flatnonzero(groups == group), int(connected.argmax()))
-
-
-def _scan_group(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.bool_]) -> ScannedMap:
-    """Prepare the map of the keyframes `chosen` (k,) to search in."""
-    rows = np.flatnonzero(chosen)
-    return scan_map(index_map(mapper, chosen), mapper.keyframe_poses[rows], local_field.points_of(rows))
-
-
-def _decide(look: Look, mapper: Mapper, location: Location, old: Integers, since: int) -> LoopDecision:
-    """Return the decision to join the last part of the map where it was located.
-
-    look   from the last submap that was placed
-    old    (n,) keyframes of the part with which it is joined
-    since  first keyframe of the last part
-    """
-    matches = [_match(mapper, member, old) for member in location.members]
-    count = len(matches)
-    return confirm(
-        look,
-        LoopHypothesis(location.members[-1].motion, matches),
-        f"{count} of {location.submaps} submaps fit in one place only",
-        rival_support=0,
-        contradictions=location.submaps - count,
-        checks=(Check("evidence", location.evidence, location.required, at_least=True),),
-        since=since,
-        joins=True,
-    )
-
-
-def _match(mapper: Mapper, member: PlacedSubmap, old: Integers) -> LoopMatch:
-    """Return the match of a submap with the nearest of the keyframes `old` (n,)."""
-    last, poses = member.keyframes[-1], mapper.keyframe_poses
-    nearest = int(old[np.hypot(*(poses[old, :2] - member.pose[:2]).T).argmin()])
-    relative = se2.between(poses[nearest], member.pose)
-    return LoopMatch(last, nearest, relative, member.covariance, mapper.travelled[last], member.fit, member.known)
+        old, since = np.flatnonzero(groups == group), int(connected.argmax())
+        return decide(look, mapper, location, old, since=since, joins=True)

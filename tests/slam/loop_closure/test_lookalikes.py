@@ -91,9 +91,18 @@ def limit_drives(monkeypatch: pytest.MonkeyPatch, seconds: float | None) -> None
     monkeypatch.setattr("slam.evaluation.benchmarks.lookalike.simulation_of", limited)
 
 
-def test_needed_loop_is_closed_at_the_right_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    limit_drives(monkeypatch, 130.0)  # some seconds after the closure
-    result = run_world("large_loop", 0)
+@pytest.mark.parametrize(
+    ("world", "seed", "seconds"),
+    [
+        ("large_loop", 0, 130.0),  # looks agree
+        ("square", 8700, 180.0),  # looks support several places, and the evidence of the whole drive decides
+    ],
+)
+def test_needed_loop_is_closed_at_the_right_place(
+    monkeypatch: pytest.MonkeyPatch, world: str, seed: int, seconds: float
+) -> None:
+    limit_drives(monkeypatch, seconds)  # some seconds after the closure
+    result = run_world(world, seed)
     assert result.needed
     assert result.joined
     assert result.accepted
