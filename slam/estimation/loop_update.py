@@ -36,7 +36,10 @@ def _search_connected(state: SlamState) -> LoopDecision | None:
     if state.loops.correction_likely:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
     if decision is not None:
-        return decision
+        decision = state.loop_evidence.test(mapper, field, decision, among)
+        if decision.status is not LoopStatus.REJECTED:
+            return decision
+        state.loops.note_rejection(decision)
     decision = state.loop_evidence.search(mapper, field, state.loops, among)
     return None if decision is None else state.loops.number(decision)
 

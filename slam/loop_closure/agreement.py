@@ -138,6 +138,12 @@ class LoopAgreement:
         self._given_up = []
         return [self.number(decision) for decision in decisions if decision is not None]
 
+    def note_rejection(self, decision: LoopDecision) -> None:
+        """Keep, for reports, why a loop that looks agree on is not closed."""
+        for hypothesis in self._hypotheses:
+            if np.array_equal(hypothesis.motion, decision.correction):
+                hypothesis.rejection = decision
+
     def exclude(self, motion: se2.Pose) -> None:
         """Reject the motion of a retracted closure from now on."""
         self._retracted.append(motion)

@@ -54,6 +54,8 @@ STATED = Expectation(prior=0.95, mapped=0.8, error=0.001)
 # were taken for equal ones which were not mapped; error chosen, with 0.01 drives were put at the wrong one of two equal
 # places.
 LOST = Expectation(prior=0.5, mapped=0.8, error=0.001)
+# Of a drive that looks at old places have recognised. Origin: as LOST, but looks have compared what is mapped.
+RECOGNISED = Expectation(prior=0.5, mapped=0.0, error=0.001)
 # Of a session that may overlap with another one in a part, or not. Origin: chosen, a smaller error than that of a
 # robot, whose further scans can contradict the decision.
 OVERLAP = Expectation(prior=0.5, mapped=0.0, error=0.0001)
