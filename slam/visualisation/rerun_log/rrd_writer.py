@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ...errors import OutputError
+from ...io.disk_reserve import free_space
 from .log_files import part_name
 from .viewer import ViewerServer
 
@@ -33,6 +35,11 @@ MAX_BATCH_ROWS = 64  # rows sent together
 MAX_BATCH_AGE, MAX_BATCH_AGE_WITHOUT_VIEWERS = 1.0, 5.0
 MAX_STEP_TEXTS = 1000  # rows of the text log that a step of CANDIDATE or CLOSURE repeats; older ones are left out
 MAX_PARTS = 160  # files; then the oldest but the first is deleted, so that an endless run does not fill the disk
+# Bytes of free space below which the file ends, so that it is complete and the recording beside it goes on.
+# Origin: chosen, half a minute of log and recording; not measured.
+MIN_FREE_SPACE = 4_000_000
+
+_logger = logging.getLogger(__name__)
 
 Archetype: TypeAlias = Any  # Rerun has no common type for loggable values
 ToColumns: TypeAlias = Callable[[list[Any]], Iterable[Any]]
@@ -42,7 +49,8 @@ class RrdWriter:
     """A Rerun recording in files of about `part_size` bytes each, and at a server if one is given.
 
     Every file contains the static rows, so that it can be read by itself; opened together the files are one recording.
-    The server has a separate stream, because replacing a stream's file would disconnect the viewers.
+    The server has a separate stream, because replacing a stream's file would disconnect the viewers. The file ends
+    before the disk is full: Rerun would report that only at the end, and what it could not write would be missing.
 
     Rows are stamped with the sensor time and, at keyframes, the number of the keyframe. The timelines CANDIDATE and
     CLOSURE have steps instead: `log_step` repeats the last row of everything that has changed since the last step.
@@ -64,6 +72,7 @@ class RrdWriter:
         self._texts = 0  # rows of text logs so far, modulo MAX_STEP_TEXTS
         self._file = _open_stream(identity)
         self._streams = [self._file]
+        self.file_ended = False  # because the disk is nearly full; viewers still receive all
         self._name = ""
         self._properties: tuple[str, rr.AnyValues] | None = None
         try:
@@ -173,10 +182,25 @@ class RrdWriter:
         for stream in self._streams:
             stream.send_blueprint(layout)
 
-    def begin_part_if_full(self) -> None:
-        """Continue in another file if the current one has reached the part size."""
-        if part_name(self._path, self._part).stat().st_size < self._part_size:
+    def manage_files(self) -> None:
+        """Continue in another file if the current one has the part size; end it if the disk is nearly full."""
+        if self.file_ended:
             return
+        path = part_name(self._path, self._part)
+        if free_space(path.parent) < MIN_FREE_SPACE:
+            self._end_file(path)
+        elif path.stat().st_size >= self._part_size:
+            self._begin_part()
+
+    def _end_file(self, path: Path) -> None:
+        """Write the footer of the file and tell why. Raises Rerun's error if that fails."""
+        self.file_ended = True
+        self._send_all()
+        self._streams.remove(self._file)
+        _logger.warning("%s ends here, as its disk is nearly full; mapping continues", path.name)
+        _finish(self._file)
+
+    def _begin_part(self) -> None:
         self._send_all()
         self._part += 1
         self._file.set_sinks(rr.FileSink(part_name(self._path, self._part)), default_blueprint=self._layout)
@@ -193,8 +217,7 @@ class RrdWriter:
         """Write the file's footer. Raises Rerun's error if that fails, for example on a full disk."""
         self._send_all()
         for stream in self._streams:
-            stream.flush()  # disconnecting alone raises no error
-            stream.disconnect()
+            _finish(stream)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -221,6 +244,11 @@ def _time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
     if values[0] > 1e9 * MIN_EPOCH_STAMP:
         return rr.TimeColumn(timeline, timestamp=np.array(values).astype("datetime64[ns]"))
     return rr.TimeColumn(timeline, duration=np.array(values).astype("timedelta64[ns]"))
+
+
+def _finish(stream: rr.RecordingStream) -> None:
+    stream.flush()  # disconnecting alone raises no error
+    stream.disconnect()
 
 
 def _open_stream(identity: str) -> rr.RecordingStream:
