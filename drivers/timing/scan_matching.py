@@ -37,8 +37,8 @@ MAX_ITERATIONS = 25
 CONVERGED = 1e-5
 # Points of a scan that are matched; more cost time without changing the result. Origin: chosen; not measured.
 MAX_POINTS = 200
-# Points of the reference at most: half a degree apart, which at 10 m is within the last reach. Errors are measured along
-# normals, so denser points do not change them; matching takes time in proportion. Origin: geometry, 360 degrees / 0.45.
+# Points of the reference at most: half a degree apart, which at 10 m is within the last reach. Errors are measured
+# along normals, so denser points do not change them; matching takes time in proportion. Origin: geometry, 360 / 0.45.
 MAX_REFERENCE_POINTS = 800
 # Corresponding points at least. Origin: chosen, a wall and a corner; not measured.
 MIN_CORRESPONDENCES = 20
