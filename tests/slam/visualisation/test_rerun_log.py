@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -454,6 +456,20 @@ def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
         1 if file.stem == "review" else int(file.stem.split("-")[1]) for file in log_parts(tmp_path / "review.rrd")
     ]
     assert numbers == [1, numbers[-1] - 1, numbers[-1]]
+
+
+def test_few_rows_are_written_in_chunks_of_their_own(tmp_path, monkeypatch):
+    """Each chunk takes memory until the file ends, and a robot drives in familiar places for days."""
+    scans, path = 400, tmp_path / "review.rrd"
+    ticks = itertools.count()
+    clock = SimpleNamespace(monotonic=lambda: 0.1 * next(ticks))  # ten scans a second
+    monkeypatch.setattr(rrd_writer, "time", clock)
+    with ReviewLog(path) as review:
+        for k in range(scans):
+            review.handle(ScanTracked(0.1 * k, np.array([0.01 * k, 0.0, 0.0]), np.zeros(3), 1.0, 0))
+    chunks = [chunk for chunk in RrdReader(path).stream() if chunk.entity_path == "/world/robot"]
+    assert sum(chunk.to_record_batch().num_rows for chunk in chunks) == scans
+    assert len(chunks) < scans / 100
 
 
 def test_the_file_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch, caplog):
