@@ -56,13 +56,26 @@ def candidate_addresses(spec: DeviceSpec, names: Collection[str], other_addresse
     it with `auto`. Otherwise these are the device's own address and `names`, the permanent names that it had.
     """
     if spec.address != AUTO:
-        yield spec.address
+        yield from _own_addresses(spec.address, names)
+        return
     others = {Path(address).resolve() for address in other_addresses}
-    tried = {Path(spec.address).resolve()}
-    for name in names if spec.address != AUTO else [port.path for port in serial_ports()]:
-        path = Path(name).resolve()
-        if path.exists() and path not in others | tried:
-            yield name
+    for port in serial_ports():
+        path = Path(port.path).resolve()
+        if path.exists() and path not in others:
+            yield port.path
+
+
+def _own_addresses(address: str, names: Collection[str]) -> Iterator[str]:
+    """Yield the address of a device and those of `names` under which its adapter is found now, without repetition.
+
+    If several adapters were plugged in again, as after a fault of their hub, they may have exchanged their numbers. So
+    the address comes last if the adapter is elsewhere, and is left out if it has become that of another adapter.
+    """
+    paths = {Path(name).resolve(): name for name in names if Path(name).exists()}
+    own = Path(address).resolve()
+    if own in paths or not names or not permanent_names(address):
+        paths[own] = address
+    yield from paths.values()
 
 
 def connect(spec: DeviceSpec, address: str, baud: int, dtr: bool, append: bool = False) -> Transport:

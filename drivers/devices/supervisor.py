@@ -189,8 +189,8 @@ class Supervisor:
                 except DriverError as error:
                     first = first or error
                     break
-        text = f"{self.spec.text}: no serial port found" if self.spec.address == AUTO else "stopped"
-        raise first or DriverError(text)
+        problem = "no serial port found" if self.spec.address == AUTO else "its adapter is not plugged in"
+        raise first or DriverError(f"{self.spec.text}: {problem}")
 
     def _bauds(self, address: str) -> list[int]:
         known = [self._last_location[1]] if self._last_location is not None else []

@@ -13,6 +13,7 @@ from typing import Self
 
 from ..errors import MapError, OutputError, first_line
 from ..io.output_dir import OutputDirectory
+from ..memory import return_freed_memory
 from .console import print_message
 from .terminal_keys import TerminalKeys
 
@@ -102,6 +103,7 @@ class Autosave:
             self._problem = str(error)
         except Exception as error:  # whatever it is, it must not end the run
             self._problem = f"{self._output.path}: not saved: {first_line(error)}"
+        return_freed_memory()  # else what a save has freed stays in gaps between what the run keeps
         took = time.monotonic() - began
         self._due = began + max(PERIOD, took / LARGEST_SHARE)
         self._answer(self._problem)

@@ -100,7 +100,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
     left_out = summary.get("review") or {}
     if any(left_out.values()):
-        rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items())))
+        rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items() if count)))
     rows += [("warning", text) for text in summary.get("doubts") or ()]
     rows += [("warning", text) for text in (reason_without_walls(summary),) if text]
     warnings = group_warnings(summary["warnings"])

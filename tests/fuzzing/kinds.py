@@ -39,7 +39,9 @@ from ..clouds import cloud_of_scan
 from ..drivers.conftest import carmen_lines, ros_entries, write_bag1, write_bag2
 from .mutations import Mutation, mutate_bytes, mutate_gzip, mutate_json, mutate_table, mutate_text
 
-SEED, SECONDS, BEAMS = 3, 3.0, 60
+SEED, SECONDS = 3, 3.0
+RECORDED, BEAMS = 1.0, 40
+"""Seconds and beams of the recordings: small ones are read fast, and more of the damage is in their structure."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,8 @@ class Kind:
 
 def make_kinds(folder: Path) -> dict[str, Kind]:
     """Write an example of each kind below an empty folder; return the kinds by name."""
-    messages = list(Simulation("room", seed=SEED, duration=SECONDS, lidar=LidarModel(beams=BEAMS, rate=5.0)))
+    lidar = LidarModel(beams=BEAMS, rate=5.0)
+    messages = list(Simulation("room", seed=SEED, duration=RECORDED, lidar=lidar))
     return {**recordings(folder, messages), **results(folder / "run"), **small_files(folder)}
 
 

@@ -151,6 +151,11 @@ class EventLog:
         self._at_last_keyframe(self._stamp)
         self._log_text(text, "WARN")
 
+    @property
+    def file_ended(self) -> bool:
+        """True if nothing more is written into the file, as the disk is nearly full."""
+        return self._writer.file_ended
+
     def close(self) -> None:
         """Fit the layout to the map, and finish the file."""
         self._end_steps()
@@ -216,13 +221,13 @@ class EventLog:
     def _write_scan(self, event: ScanTracked) -> None:
         self._follow_without_keyframes(event.stamp)
         self._overlap_ratio = event.overlap_ratio
-        self._writer.begin_part_if_full()  # not only at keyframes: in familiar places there are none for days
+        self._writer.manage_files()  # not only at keyframes: in familiar places there are none for days
         self._between_keyframes(event.stamp)
         self._keyframe_layer.move_robot(event.pose)
 
     def _write_keyframe(self, event: KeyframeAdded) -> None:
         self._end_steps()
-        self._writer.begin_part_if_full()
+        self._writer.manage_files()
         first, previous = self._index is None, self._pose
         self._added += 1
         self._index, self._stamp, self._pose = event.index, event.stamp, event.pose

@@ -78,6 +78,7 @@ class ReviewLog:
         self.path = path
         self.thinned = 0  # events left out, or logged without points, while the log was busy
         self.lost = 0  # events lost while the log was stalled
+        self.unwritten = 0  # events after the file ended because the disk was nearly full
         self.failures = 0  # events that could not be logged
         self.first_failure: str | None = None
         self._queue: SimpleQueue[Event | None] = SimpleQueue()
@@ -89,7 +90,7 @@ class ReviewLog:
 
     def left_out(self) -> dict[str, int]:
         """Return the numbers of events that are not logged completely, by reason."""
-        return {"thinned": self.thinned, "lost": self.lost, "failed": self.failures}
+        return {"thinned": self.thinned, "lost": self.lost, "failed": self.failures, "unwritten": self.unwritten}
 
     @property
     def waiting(self) -> int:
@@ -154,6 +155,7 @@ class ReviewLog:
         while (event := self._queue.get()) is not None:
             with self._failures_counted(type(event).__name__):
                 self._log.write(event)
+            self.unwritten += self._log.file_ended
         with self._failures_counted("closing"):
             if self.thinned:
                 self._log.note(f"logging could not keep up: {self.thinned} scans were left out")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ...errors import OutputError
+from ...io.disk_reserve import free_space
 from .log_files import part_name
 from .viewer import ViewerServer
 
@@ -27,12 +29,17 @@ FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a l
 # Bytes after which another file is started: an hour of driving. Rerun keeps an index of the open file in memory, about
 # as large as the rows if these are few in each chunk, as in familiar places.
 PART_SIZE = 50_000_000
-MAX_BATCH_ROWS = 64  # rows sent together
-# Seconds that a row waits for further rows of its entity. In memory, every chunk takes 1 kB until the file ends, and
-# 2 kB more at the server.
-MAX_BATCH_AGE, MAX_BATCH_AGE_WITHOUT_VIEWERS = 1.0, 5.0
+# Rows written together, and seconds that a row waits for further rows of its entity. In memory, every chunk takes 1 kB
+# until the file ends: with few rows in each, the memory of a run grows faster. A killed run lacks the rows that wait.
+MAX_BATCH_ROWS, MAX_BATCH_AGE = 512, 30.0
+MAX_LIVE_BATCH_AGE = 1.0  # seconds that a row waits for further ones before viewers receive it
 MAX_STEP_TEXTS = 1000  # rows of the text log that a step of CANDIDATE or CLOSURE repeats; older ones are left out
 MAX_PARTS = 160  # files; then the oldest but the first is deleted, so that an endless run does not fill the disk
+# Bytes of free space below which the file ends, so that it is complete and the recording beside it goes on.
+# Origin: chosen, half a minute of log and recording; not measured.
+MIN_FREE_SPACE = 4_000_000
+
+_logger = logging.getLogger(__name__)
 
 Archetype: TypeAlias = Any  # Rerun has no common type for loggable values
 ToColumns: TypeAlias = Callable[[list[Any]], Iterable[Any]]
@@ -42,7 +49,8 @@ class RrdWriter:
     """A Rerun recording in files of about `part_size` bytes each, and at a server if one is given.
 
     Every file contains the static rows, so that it can be read by itself; opened together the files are one recording.
-    The server has a separate stream, because replacing a stream's file would disconnect the viewers.
+    The server has a separate stream, because replacing a stream's file would disconnect the viewers. The file ends
+    before the disk is full: Rerun would report that only at the end, and what it could not write would be missing.
 
     Rows are stamped with the sensor time and, at keyframes, the number of the keyframe. The timelines CANDIDATE and
     CLOSURE have steps instead: `log_step` repeats the last row of everything that has changed since the last step.
@@ -55,7 +63,6 @@ class RrdWriter:
         identity = str(uuid4())
         self._path, self._part_size = path, part_size
         self._part = 1
-        self._max_batch_age = MAX_BATCH_AGE_WITHOUT_VIEWERS if server is None else MAX_BATCH_AGE
         self._layout = layout
         self._static: dict[tuple[str, str], Archetype] = {}
         self._now: dict[str, int] = {}
@@ -63,17 +70,19 @@ class RrdWriter:
         self._changed: dict[str, dict[tuple[str, ...], _LastRow]] = {CANDIDATE: {}, CLOSURE: {}}
         self._texts = 0  # rows of text logs so far, modulo MAX_STEP_TEXTS
         self._file = _open_stream(identity)
+        self._live: rr.RecordingStream | None = None
         self._streams = [self._file]
+        self.file_ended = False  # because the disk is nearly full; viewers still receive all
         self._name = ""
         self._properties: tuple[str, rr.AnyValues] | None = None
         try:
             self._file.set_sinks(rr.FileSink(path), default_blueprint=layout)
             if server is not None:
                 server.release()
-                live = _open_stream(identity)
+                self._live = _open_stream(identity)
                 sink = rr.GrpcServerSink(server.address, server.port, server_memory_limit=SERVER_MEMORY)
-                live.set_sinks(sink, default_blueprint=layout)
-                self._streams.append(live)
+                self._live.set_sinks(sink, default_blueprint=layout)
+                self._streams.append(self._live)
         except (OSError, RuntimeError) as error:
             raise OutputError(f"{path}: cannot write the review log: {error}") from error
 
@@ -100,12 +109,16 @@ class RrdWriter:
 
         `to_columns` converts a list of values to Rerun columns. All rows of an entity must have the same timelines.
         """
-        batch = self._batches.setdefault(entity, _Batch(to_columns))
+        now = time.monotonic()
+        batch = self._batches.setdefault(entity, _Batch(to_columns, now, now))
         batch.values.append(value)
         batch.times.append(self._now.copy())
         self._remember(entity, _LastRow(value, to_columns))
-        if len(batch.values) == MAX_BATCH_ROWS or time.monotonic() - batch.started > self._max_batch_age:
+        if len(batch.values) == MAX_BATCH_ROWS or now - batch.started > MAX_BATCH_AGE:
             self._send(entity, self._batches.pop(entity))
+        elif self._live is not None and now - batch.shown_at > MAX_LIVE_BATCH_AGE:
+            batch.shown_at = now
+            self._show(entity, batch)
 
     def _remember(self, entity: str, row: _LastRow) -> None:
         """Keep a row of a keyframe for the next steps; a text log consists of all its rows."""
@@ -138,10 +151,16 @@ class RrdWriter:
             stream.disable_timeline(timeline)
 
     def _send(self, entity: str, batch: _Batch) -> None:
-        indexes = [_time_column(timeline, [row[timeline] for row in batch.times]) for timeline in batch.times[0]]
-        columns = list(batch.to_columns(batch.values))
-        for stream in self._streams:
-            stream.send_columns(entity, indexes=indexes, columns=columns)
+        """Write a batch, and send viewers what they have not received of it."""
+        if not self.file_ended:
+            batch.send(self._file, entity, 0)
+        self._show(entity, batch)
+
+    def _show(self, entity: str, batch: _Batch) -> None:
+        """Send viewers the rows of a batch that they have not received."""
+        if self._live is not None and batch.shown < len(batch.values):
+            batch.send(self._live, entity, batch.shown)
+            batch.shown = len(batch.values)
 
     def _send_all(self) -> None:
         for entity in list(self._batches):
@@ -173,10 +192,25 @@ class RrdWriter:
         for stream in self._streams:
             stream.send_blueprint(layout)
 
-    def begin_part_if_full(self) -> None:
-        """Continue in another file if the current one has reached the part size."""
-        if part_name(self._path, self._part).stat().st_size < self._part_size:
+    def manage_files(self) -> None:
+        """Continue in another file if the current one has the part size; end it if the disk is nearly full."""
+        if self.file_ended:
             return
+        path = part_name(self._path, self._part)
+        if free_space(path.parent) < MIN_FREE_SPACE:
+            self._end_file(path)
+        elif path.stat().st_size >= self._part_size:
+            self._begin_part()
+
+    def _end_file(self, path: Path) -> None:
+        """Write the footer of the file and tell why. Raises Rerun's error if that fails."""
+        self._send_all()
+        self.file_ended = True
+        self._streams.remove(self._file)
+        _logger.warning("%s ends here, as its disk is nearly full; mapping continues", path.name)
+        _finish(self._file)
+
+    def _begin_part(self) -> None:
         self._send_all()
         self._part += 1
         self._file.set_sinks(rr.FileSink(part_name(self._path, self._part)), default_blueprint=self._layout)
@@ -193,8 +227,7 @@ class RrdWriter:
         """Write the file's footer. Raises Rerun's error if that fails, for example on a full disk."""
         self._send_all()
         for stream in self._streams:
-            stream.flush()  # disconnecting alone raises no error
-            stream.disconnect()
+            _finish(stream)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -207,12 +240,24 @@ class _LastRow:
 
 @dataclass(slots=True, eq=False)
 class _Batch:
-    """Rows of one entity that are sent together, with their times by timeline."""
+    """Rows of one entity that are written together, with their times by timeline.
+
+    started   time of the first row, on the clock of time.monotonic
+    shown_at  time when viewers have received rows last, at first `started`
+    shown     number of rows that viewers have received
+    """
 
     to_columns: ToColumns
+    started: float
+    shown_at: float
     values: list[Any] = field(default_factory=list)
     times: list[dict[str, int]] = field(default_factory=list)
-    started: float = field(default_factory=time.monotonic)
+    shown: int = 0
+
+    def send(self, stream: rr.RecordingStream, entity: str, first: int) -> None:
+        """Send the rows from number `first` on."""
+        indexes = [_time_column(name, [row[name] for row in self.times[first:]]) for name in self.times[0]]
+        stream.send_columns(entity, indexes=indexes, columns=list(self.to_columns(self.values[first:])))
 
 
 def _time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
@@ -221,6 +266,11 @@ def _time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
     if values[0] > 1e9 * MIN_EPOCH_STAMP:
         return rr.TimeColumn(timeline, timestamp=np.array(values).astype("datetime64[ns]"))
     return rr.TimeColumn(timeline, duration=np.array(values).astype("timedelta64[ns]"))
+
+
+def _finish(stream: rr.RecordingStream) -> None:
+    stream.flush()  # disconnecting alone raises no error
+    stream.disconnect()
 
 
 def _open_stream(identity: str) -> rr.RecordingStream:

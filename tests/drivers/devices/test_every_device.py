@@ -237,6 +237,44 @@ def test_a_lost_device_is_searched_only_where_the_user_allowed_it(
     assert (foreign in opened) == (address == "auto")
 
 
+def test_devices_whose_ports_have_exchanged_their_numbers_are_found_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As after a fault of the hub: each is at the address that the user gave for the other one."""
+    ttys, permanent = [tmp_path / "ttyUSB0", tmp_path / "ttyUSB1"], tmp_path / "by-id"
+    permanent.mkdir()
+    monkeypatch.setattr(ports, "PERMANENT_NAMES", permanent)
+    received: tuple[list[Message], list[Message]] = ([], [])
+    kinds, stop = (("ld06", Ld06Peer), ("scip", ScipPeer)), threading.Event()
+
+    def plug_in(order: list[Path], stack: ExitStack) -> None:
+        for (kind, peer), tty in zip(kinds, order, strict=True):
+            tty.symlink_to(stack.enter_context(plugged(peer())))
+            (permanent / kind).symlink_to(tty)
+
+    specs = [f"{kind}:{tty}" for (kind, _), tty in zip(kinds, ttys, strict=True)]
+    supervisors = [
+        Supervisor(parse_device(spec), messages.extend, [str(tty) for tty in ttys if not spec.endswith(str(tty))])
+        for spec, messages in zip(specs, received, strict=True)
+    ]
+    threads = [threading.Thread(target=supervisor.run, args=(stop,)) for supervisor in supervisors]
+    with ExitStack() as second:
+        with ExitStack() as first:
+            plug_in(ttys, first)
+            for thread in threads:
+                thread.start()
+            wait_until(lambda: all(len(messages) > 2 for messages in received))
+            for path in (*ttys, *permanent.iterdir()):
+                path.unlink()
+        plug_in(ttys[::-1], second)
+        before = [len(messages) for messages in received]
+        wait_until(lambda: all(len(now) > count + 3 for now, count in zip(received, before, strict=True)))
+        stop.set()
+        for thread in threads:
+            thread.join()
+    assert [supervisor.status().port for supervisor in supervisors] == [str(permanent / kind) for kind, _ in kinds]
+
+
 @pytest.mark.slow
 def test_auto_finds_the_port(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     with plugged(lambda _: b"") as empty, plugged(Ld06Peer()) as path:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import logging
 import subprocess
 import sys
 import threading
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -290,7 +292,7 @@ def test_closing_twice_is_allowed_and_later_events_are_ignored(tmp_path):
     closed = path.read_bytes()
     review.close()
     review.handle(Notice(0.0, "too late"))
-    assert (review.waiting, review.left_out()) == (0, {"thinned": 0, "lost": 0, "failed": 0})
+    assert (review.waiting, review.left_out()) == (0, {"thinned": 0, "lost": 0, "failed": 0, "unwritten": 0})
     assert path.read_bytes() == closed
 
 
@@ -329,7 +331,7 @@ def test_a_slow_log_does_not_block_and_keeps_keyframes(tmp_path, monkeypatch):
     assert len(scans) == 700
     assert 200 < sum(len(points) == 180 for _, points in scans) < 300
     assert review.thinned > 800
-    assert review.left_out() == {"thinned": review.thinned, "lost": 0, "failed": 0}
+    assert review.left_out() == {"thinned": review.thinned, "lost": 0, "failed": 0, "unwritten": 0}
     assert "left out" in last(tmp_path / "slow.rrd", "/log", "TextLog:text")[0]
 
 
@@ -341,7 +343,7 @@ def test_a_recording_waits_for_a_slow_log(tmp_path, monkeypatch):
         review.handle(ScanTracked(float(index), np.zeros(3), np.zeros(3), 1.0, index))
     review.close()
     assert len(written) == 1500
-    assert review.left_out() == {"thinned": 0, "lost": 0, "failed": 0}
+    assert review.left_out() == {"thinned": 0, "lost": 0, "failed": 0, "unwritten": 0}
 
 
 def test_a_recording_does_not_wait_for_a_stalled_log(tmp_path, monkeypatch):
@@ -454,6 +456,37 @@ def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
         1 if file.stem == "review" else int(file.stem.split("-")[1]) for file in log_parts(tmp_path / "review.rrd")
     ]
     assert numbers == [1, numbers[-1] - 1, numbers[-1]]
+
+
+def test_few_rows_are_written_in_chunks_of_their_own(tmp_path, monkeypatch):
+    """Each chunk takes memory until the file ends, and a robot drives in familiar places for days."""
+    scans, path = 400, tmp_path / "review.rrd"
+    ticks = itertools.count()
+    clock = SimpleNamespace(monotonic=lambda: 0.1 * next(ticks))  # ten scans a second
+    monkeypatch.setattr(rrd_writer, "time", clock)
+    with ReviewLog(path) as review:
+        for k in range(scans):
+            review.handle(ScanTracked(0.1 * k, np.array([0.01 * k, 0.0, 0.0]), np.zeros(3), 1.0, 0))
+    chunks = [chunk for chunk in RrdReader(path).stream() if chunk.entity_path == "/world/robot"]
+    assert sum(chunk.to_record_batch().num_rows for chunk in chunks) == scans
+    assert len(chunks) < scans / 100
+
+
+def test_the_file_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch, caplog):
+    path, events = tmp_path / "review.rrd", list(Corridor().events())
+    keyframes = of_kind(events, KeyframeAdded)
+    room = iter([*[1e9] * 30, *[1e6] * len(events)])  # free bytes at each look
+    monkeypatch.setattr(rrd_writer, "free_space", lambda folder: next(room))
+    with ReviewLog(path) as review, caplog.at_level(logging.WARNING):
+        for event in events:
+            review.handle(event)
+    found = [k for k, _ in rows(path, "/world/keyframe", "Transform3D:translation")]
+    assert found == list(range(len(found)))
+    assert 0 < len(found) < len(keyframes)
+    assert (review.failures, review.lost, review.unwritten > len(events) // 2) == (0, 0, True)
+    assert [record.message for record in caplog.records] == [
+        f"{path.name} ends here, as its disk is nearly full; mapping continues"
+    ]
 
 
 def test_rerun_is_imported_only_when_a_log_is_created():
