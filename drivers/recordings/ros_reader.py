@@ -16,6 +16,7 @@ from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats, GroundTruth, Message, Scan, YawRate
 from ..se2 import Pose
+from .decompression import DecompressionError, uncompressed_message
 from .multi_echo import MULTI_ECHO, first_echoes
 from .point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from .range_units import ScanInUnits, find_range_unit
@@ -90,9 +91,17 @@ class RosReader(RecordingReader):
         """Yield the messages of the types `self._types` in order. Damage is counted on the `final` pass only."""
 
     def _messages_to_read(self, final: bool) -> Iterator[StoredMessage]:
-        """Yield the stored messages, those with several echoes as LaserScans."""
+        """Yield the stored messages, decompressed, those with several echoes as LaserScans."""
         for stored in self._stored_messages(final):
-            yield first_echoes(stored) if stored.msgtype == MULTI_ECHO else stored
+            message = self._uncompressed(stored) if stored.encoding == "cdr" else stored
+            yield first_echoes(message) if message.msgtype == MULTI_ECHO else message
+
+    def _uncompressed(self, stored: StoredMessage) -> StoredMessage:
+        try:
+            data = uncompressed_message(stored.data)
+        except DecompressionError as error:
+            raise RecordingError(self.path, stored.number, str(error)) from error
+        return stored if data is stored.data else replace(stored, data=data)
 
     def _read(self) -> Iterator[tuple[int, Message]]:
         contents = self._contents
