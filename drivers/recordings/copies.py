@@ -1,7 +1,7 @@
 """Leave out copies of scans.
 
 Some recordings contain each scan more than once with one stamp: a driver was started twice, a relay publishes to the
-same topic, or two recordings of one drive were joined. A copy is no measurement; estimates from it would be too certain.
+same topic, or two recordings of one drive were joined. A copy is no measurement; estimates would be too certain by it.
 """
 
 from __future__ import annotations

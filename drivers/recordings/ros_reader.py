@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
@@ -14,7 +14,7 @@ import numpy as np
 
 from .. import se2
 from ..errors import RecordingError
-from ..messages import Floats, GroundTruth, Message, Scan, YawRate
+from ..messages import Floats, GroundTruth, Message, Scan, YawRate, delay_odometry
 from ..se2 import Pose
 from .decompression import DecompressionError, uncompressed_message
 from .multi_echo import MULTI_ECHO, first_echoes
@@ -41,6 +41,7 @@ from .ros_messages import (
     yaw_rate_of,
 )
 from .scan_topics import ScanTopic, choose_scan_topic
+from .sensor_clocks import Stream, stream_of
 from .stored_messages import (
     OdometryTopic,
     StoredMessage,
@@ -118,6 +119,10 @@ class RosReader(RecordingReader):
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
         no_return = contents.find_no_return(scans, per_metre)
         imu = self._choose_topic(contents, IMU, None)
+        foreign, reason = self._foreign_scans
+        if reason is not None:
+            self.interpret(reason)
+        shifts = self._shifts(scans, (odometry.topic or "/tf", imu))
         mounts: dict[str, LidarMount] = {}
         poses: dict[str, Floats | None] = {}
         beams: StoredMessage | None = None
@@ -126,16 +131,20 @@ class RosReader(RecordingReader):
                 if stored.msgtype == BEAMS and scans is not None and stored.topic == beams_topic(scans):
                     beams = stored
                 elif stored.msgtype == LASER_SCAN and stored.topic == scans:
+                    if foreign and stream_of(stored) in foreign:
+                        continue
                     scan = self._scan(stored, beams, contents, mounts, per_metre, no_return)
                     beams = None
                     yield stored.number, scan
                 elif stored.msgtype == POINT_CLOUD and stored.topic == scans:
                     yield stored.number, self._cloud_scan(stored, contents, mounts, poses)
                 elif odometry.is_in(stored):
+                    shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
                     for reading in odometry.readings(stored):
-                        yield stored.number, reading
+                        yield stored.number, delay_odometry(reading, shift)
                 elif stored.msgtype == IMU and stored.topic == imu:
-                    yield stored.number, self._yaw_rate(stored, contents)
+                    shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
+                    yield stored.number, delay_odometry(self._yaw_rate(stored, contents), shift)
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
                     pose = decode(stored.data, POSE, stored.encoding)
                     yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))
@@ -224,6 +233,41 @@ class RosReader(RecordingReader):
                     message = decode(stored.data, LASER_SCAN, stored.encoding)
                     candidates[stored.topic].add(scan_of(message, stored.received, LidarMount()))
         return choose_scan_topic(list(candidates.values()))
+
+    @cached_property
+    def _foreign_scans(self) -> tuple[frozenset[Stream], str | None]:
+        """Scans on the chosen topic that are not of the lidar, and the reason as text; none if they have one clock."""
+        topic, clocks = self._chosen_scan_topic[0], self._contents.clocks
+        if not clocks.apart(topic):
+            return frozenset(), None
+        candidates = {stream: ScanTopic(stream.frame) for stream in clocks.streams(topic)}
+        for stored in self._messages_to_read(final=False):
+            if stored.msgtype == LASER_SCAN and (stream := stream_of(stored)) in candidates:
+                with suppress(ValueError):  # counted on the final pass
+                    message = decode(stored.data, LASER_SCAN, stored.encoding)
+                    candidates[stream].add(scan_of(message, stored.received, LidarMount()))
+        lidar = max(candidates, key=lambda stream: candidates[stream].quality)
+        foreign = frozenset(stream for stream in candidates if clocks.ahead(lidar, stream))
+        others = "; ".join(
+            f"{stream.frame}: {candidates[stream].describe()}" for stream in candidates if stream in foreign
+        )
+        return foreign, (
+            f"scans of {topic} with the frame {lidar.frame}: {candidates[lidar].describe()} "
+            f"(left out, since they have another clock: {others})"
+        )
+
+    def _shifts(self, scans: str | None, topics: Sequence[str | None]) -> dict[Stream | None, float]:
+        """Return the seconds to be added to the stamps of some topics, where their clock is not that of the scans."""
+        clocks = self._contents.clocks
+        lidars = [stream for stream in clocks.streams(scans) if stream not in self._foreign_scans[0]]
+        if not lidars:
+            return {}
+        shifts = clocks.shifts(lidars[0])
+        for topic in topics:
+            found = [shifts[stream] for stream in clocks.streams(topic) if stream in shifts]
+            if found:
+                self.interpret(f"stamps of {topic} moved by {found[0]:.3f} s: its clock is not that of the scans")
+        return {**shifts}
 
     @cached_property
     def _odometry(self) -> OdometryTopic:

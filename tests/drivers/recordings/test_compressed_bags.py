@@ -20,7 +20,7 @@ PLUGINS = {"db3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}
 
 @pytest.fixture
 def write_compressed(tmp_path: Path, drive: list[Message]) -> Callable[..., Path]:
-    """Function that writes a bag whose messages are compressed one by one; the second has the given data instead, if any."""
+    """Function that writes a bag whose messages are compressed one by one, the second with other data if given."""
 
     def write(suffix: str, damaged: bytes | None = None) -> Path:
         writer = Writer(tmp_path / "bag", version=9, storage_plugin=PLUGINS[suffix])
@@ -81,5 +81,5 @@ def test_a_file_that_is_compressed_as_a_whole_is_refused_with_the_remedy(tmp_pat
 def test_a_bag_in_several_files_without_metadata_is_refused_with_the_remedy(tmp_path: Path) -> None:
     for number in range(2):
         (tmp_path / f"drive_{number}.db3").write_bytes(b"SQLite")
-    with pytest.raises(RecordingError, match="no metadata.yaml, which `ros2 bag reindex` writes; name one of"):
+    with pytest.raises(RecordingError, match=r"no metadata\.yaml, which `ros2 bag reindex` writes; name one of"):
         drivers.open(tmp_path)
