@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
@@ -122,7 +122,7 @@ class RosReader(RecordingReader):
         foreign, reason = self._foreign_scans
         if reason is not None:
             self.interpret(reason)
-        shifts = self._shifts(scans, (odometry.topic or "/tf", imu))
+        shifts = self._shifts(scans, odometry, imu)
         mounts: dict[str, LidarMount] = {}
         poses: dict[str, Floats | None] = {}
         beams: StoredMessage | None = None
@@ -238,7 +238,7 @@ class RosReader(RecordingReader):
     def _foreign_scans(self) -> tuple[frozenset[Stream], str | None]:
         """Scans on the chosen topic that are not of the lidar, and the reason as text; none if they have one clock."""
         topic, clocks = self._chosen_scan_topic[0], self._contents.clocks
-        if not clocks.apart(topic):
+        if topic not in self._contents.counts.get(LASER_SCAN, Counter()) or not clocks.apart(topic):
             return frozenset(), None
         candidates = {stream: ScanTopic(stream.frame) for stream in clocks.streams(topic)}
         for stored in self._messages_to_read(final=False):
@@ -256,18 +256,16 @@ class RosReader(RecordingReader):
             f"(left out, since they have another clock: {others})"
         )
 
-    def _shifts(self, scans: str | None, topics: Sequence[str | None]) -> dict[Stream | None, float]:
-        """Return the seconds to be added to the stamps of some topics, where their clock is not that of the scans."""
+    def _shifts(self, scans: str | None, odometry: OdometryTopic, imu: str | None) -> dict[Stream | None, float]:
+        """Return the seconds to be added to stamps of odometry and gyroscope if their clock is not that of the scans."""
         clocks = self._contents.clocks
         lidars = [stream for stream in clocks.streams(scans) if stream not in self._foreign_scans[0]]
-        if not lidars:
-            return {}
-        shifts = clocks.shifts(lidars[0])
-        for topic in topics:
-            found = [shifts[stream] for stream in clocks.streams(topic) if stream in shifts]
-            if found:
-                self.interpret(f"stamps of {topic} moved by {found[0]:.3f} s: its clock is not that of the scans")
-        return {**shifts}
+        shifts: dict[Stream | None, float] = {}
+        for stream, seconds in clocks.shifts(lidars[0]).items() if lidars else ():
+            if stream.topic in (odometry.topic, imu) or (stream.frame, stream.child) == odometry.frames:
+                shifts[stream] = seconds
+                self.interpret(f"stamps of {stream.topic} moved by {seconds:.3f} s: its clock is not that of the scans")
+        return shifts
 
     @cached_property
     def _odometry(self) -> OdometryTopic:

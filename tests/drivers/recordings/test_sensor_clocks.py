@@ -82,6 +82,18 @@ def test_odometry_is_moved_onto_the_clock_of_the_scans(
     assert not source.report.skipped
 
 
+def test_transforms_of_another_computer_are_no_odometry(path: Path, drive: list[Message], write_bag: WriteBag) -> None:
+    """A program on another computer publishes where the robot is in a map, on the topic of odometry's transforms."""
+    data = RosEncoder().transform(START - 600000.0, "map", "odom", np.zeros(3))
+    localisation = [("/tf", TRANSFORMS, entry[2] + 1, data) for entry in entries(scans_of(drive))]
+    both = sorted([*entries(drive, transforms=True), *localisation], key=lambda entry: entry[2])
+    source = drivers.open(write_bag(path, both))
+    assert [reading.stamp - START for reading in odometry_of(source)] == pytest.approx(
+        [reading.stamp for reading in odometry_of(drive)], abs=1e-5
+    )
+    assert not [text for text in source.report.interpretations if "clock" in text]
+
+
 def test_a_common_clock_that_is_wrong_is_kept(path: Path, drive: list[Message], write_bag: WriteBag) -> None:
     source = drivers.open(write_bag(path, entries(drive, lidar=-600000.0, base=lambda stamp: -600000.0)))
     messages = list(source)
