@@ -257,7 +257,7 @@ class RosReader(RecordingReader):
         )
 
     def _shifts(self, scans: str | None, odometry: OdometryTopic, imu: str | None) -> dict[Stream | None, float]:
-        """Return the seconds to be added to stamps of odometry and gyroscope if their clock is not that of the scans."""
+        """Return the seconds to be added to stamps of odometry and gyroscope on another clock than the scans."""
         clocks = self._contents.clocks
         lidars = [stream for stream in clocks.streams(scans) if stream not in self._foreign_scans[0]]
         shifts: dict[Stream | None, float] = {}
