@@ -28,6 +28,10 @@ BAG_SUFFIXES = (".bag", ".active", ".db3")
 """Of ROS bags; that of a ROS 1 bag is `.bag.active` until its recorder closes it."""
 RECORDING_SUFFIXES = (".clf", ".carmen", ".mcap", *BAG_SUFFIXES)
 """Suffixes of files that contain nothing but recordings."""
+METADATA = "metadata.yaml"
+"""File of a ROS 2 bag that names the others."""
+REINDEX = ", which `ros2 bag reindex` writes"
+"""What helps if the recorder of a bag in several files was killed."""
 MAX_NAMED = 5
 """Recordings of a directory that an error names."""
 
@@ -116,8 +120,12 @@ def _open(spec: str | Path) -> Source:
         raise RecordingError(path, None, "no such file or directory")
     if path.is_dir():
         return _directory(path)
+    if path.name == METADATA:
+        return _directory(path.parent)
     if suffix in (".mcap", *BAG_SUFFIXES) and not path.stat().st_size:
         raise RecordingError(path, None, "is empty")
+    if suffix == ".zstd":
+        raise RecordingError(path, None, "is compressed as a whole; name the directory of its bag, or `zstd -d` it")
     if suffix in CARMEN_SUFFIXES:
         from .recordings.carmen import CarmenReader
 
@@ -138,12 +146,13 @@ def _directory(path: Path) -> Source:
     """Return the reader of a ROS 2 bag; if it has no metadata, because the recorder was killed, of its only file."""
     from .recordings.rosbag import BagReader
 
-    if (path / "metadata.yaml").exists():
+    if (path / METADATA).exists():
         return BagReader(path)
     files = sorted(file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
     if len(files) == 1:
         return _open(files[0])
-    raise RecordingError(path, None, f"the directory is not a ROS 2 bag: it has no metadata.yaml; {_contents(path)}")
+    reason = f"the directory is not a ROS 2 bag: it has no {METADATA}{REINDEX if files else ''}; {_contents(path)}"
+    raise RecordingError(path, None, reason)
 
 
 def _contents(path: Path) -> str:

@@ -125,7 +125,7 @@ class CarmenReader(RecordingReader):
                         yield number, Odometry(parsed.stamp, parsed.poses[3:].copy())
                     yield number, _scan(parsed, lasers[kind])
                 elif line and not _TEXT.match(line.strip()):
-                    raise ValueError("line is not text")
+                    raise ValueError("does not begin with the name of a message")
             except ValueError as error:
                 self.skip(number, _reason(kind, error))
         if damage:

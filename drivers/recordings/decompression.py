@@ -15,6 +15,8 @@ MAX_CHUNK_SIZE = 1 << 27
 """Bytes of one decompressed chunk or message."""
 MAX_RATIO = 50
 """Ratio of the sizes of a decompressed and a compressed file. That of CARMEN logs is 3 to 10."""
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+"""First bytes of data compressed with zstd; serialised ROS 2 messages begin with a zero."""
 ALWAYS_ALLOWED = 1 << 26
 """Bytes of a decompressed file, whatever the ratio."""
 
@@ -43,6 +45,22 @@ def decompress(data: bytes, compression: str, limit: int = MAX_CHUNK_SIZE) -> by
     if len(content) > limit:
         raise DecompressionError(f"a chunk of {len(data)} bytes decompresses to more than {limit / 1e6:.0f} MB")
     return content
+
+
+def uncompressed_message(data: bytes) -> bytes:
+    """Return a serialised ROS 2 message, decompressed if the recorder has compressed each message on its own.
+
+    Only the bag's metadata say so, which are not read with a file that is opened on its own. Damaged data are returned
+    as they are. Raises DecompressionError beyond MAX_CHUNK_SIZE.
+    """
+    if not data.startswith(ZSTD_MAGIC):
+        return data
+    try:
+        return decompress(data, "zstd")
+    except DecompressionError:
+        raise
+    except Exception:  # the decompressor raises its own
+        return data
 
 
 def allowed_size(compressed: int) -> int:

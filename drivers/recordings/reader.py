@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Scan, SourceReport, mirrored, with_reversed_times
+from .copies import without_copies
 from .frozen_odometry import FrozenOdometryDetector
 from .stamp_units import in_seconds
 from .time_ordering import order_by_time
@@ -218,7 +219,7 @@ class RecordingReader(ABC):
         """Yield the messages as they are recorded. Raises RecordingError if there is neither a scan nor odometry."""
         found = False
         try:
-            for message in order_by_time(in_seconds(self._read(), self), self):
+            for message in without_copies(order_by_time(in_seconds(self._read(), self), self), self):
                 found = found or not isinstance(message, GroundTruth)
                 yield message
         except OSError as error:

@@ -12,6 +12,7 @@ from typing import Any
 from ..messages import Floats
 from .no_returns import SpreadSample, find_no_return
 from .ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS, TRANSFORMS_ROS1, LidarMount, decode, scan_of
+from .sensor_clocks import SensorClocks
 from .stored_messages import StoredMessage
 from .transforms import TransformTree
 
@@ -28,6 +29,7 @@ class Contents:
     all        static transforms and those on /tf
     base       frame that the odometry moves
     scans      topic -> some of its scans
+    clocks     of all sensors
     """
 
     counts: dict[str, Counter[str]] = field(default_factory=dict)
@@ -35,6 +37,7 @@ class Contents:
     all: TransformTree = field(default_factory=TransformTree)
     base: str | None = None
     scans: dict[str, SpreadSample[StoredMessage]] = field(default_factory=dict)
+    clocks: SensorClocks = field(default_factory=SensorClocks)
 
     def sample(self, topic: str | None) -> list[tuple[Any, int]]:
         """Return some LaserScans of a topic, spread over the recording, with their times of reception (nanoseconds)."""
@@ -77,6 +80,7 @@ def survey(messages: Iterable[StoredMessage]) -> Contents:
     for stored in messages:
         counts = contents.counts.setdefault(stored.msgtype, Counter())
         counts[stored.topic] += 1
+        contents.clocks.add(stored)
         try:
             if stored.msgtype in (TRANSFORMS, TRANSFORMS_ROS1):
                 fixed = stored.topic.endswith("tf_static")

@@ -14,8 +14,9 @@ import numpy as np
 
 from .. import se2
 from ..errors import RecordingError
-from ..messages import Floats, GroundTruth, Message, Scan, YawRate
+from ..messages import Floats, GroundTruth, Message, Scan, YawRate, delay_odometry
 from ..se2 import Pose
+from .decompression import DecompressionError, uncompressed_message
 from .multi_echo import MULTI_ECHO, first_echoes
 from .point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
 from .range_units import ScanInUnits, find_range_unit
@@ -40,6 +41,7 @@ from .ros_messages import (
     yaw_rate_of,
 )
 from .scan_topics import ScanTopic, choose_scan_topic
+from .sensor_clocks import Stream, stream_of
 from .stored_messages import (
     OdometryTopic,
     StoredMessage,
@@ -90,9 +92,17 @@ class RosReader(RecordingReader):
         """Yield the messages of the types `self._types` in order. Damage is counted on the `final` pass only."""
 
     def _messages_to_read(self, final: bool) -> Iterator[StoredMessage]:
-        """Yield the stored messages, those with several echoes as LaserScans."""
+        """Yield the stored messages, decompressed, those with several echoes as LaserScans."""
         for stored in self._stored_messages(final):
-            yield first_echoes(stored) if stored.msgtype == MULTI_ECHO else stored
+            message = self._uncompressed(stored) if stored.encoding == "cdr" else stored
+            yield first_echoes(message) if message.msgtype == MULTI_ECHO else message
+
+    def _uncompressed(self, stored: StoredMessage) -> StoredMessage:
+        try:
+            data = uncompressed_message(stored.data)
+        except DecompressionError as error:
+            raise RecordingError(self.path, stored.number, str(error)) from error
+        return stored if data is stored.data else replace(stored, data=data)
 
     def _read(self) -> Iterator[tuple[int, Message]]:
         contents = self._contents
@@ -109,6 +119,10 @@ class RosReader(RecordingReader):
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
         no_return = contents.find_no_return(scans, per_metre)
         imu = self._choose_topic(contents, IMU, None)
+        foreign, reason = self._foreign_scans
+        if reason is not None:
+            self.interpret(reason)
+        shifts = self._shifts(scans, odometry, imu)
         mounts: dict[str, LidarMount] = {}
         poses: dict[str, Floats | None] = {}
         beams: StoredMessage | None = None
@@ -117,16 +131,20 @@ class RosReader(RecordingReader):
                 if stored.msgtype == BEAMS and scans is not None and stored.topic == beams_topic(scans):
                     beams = stored
                 elif stored.msgtype == LASER_SCAN and stored.topic == scans:
+                    if foreign and stream_of(stored) in foreign:
+                        continue
                     scan = self._scan(stored, beams, contents, mounts, per_metre, no_return)
                     beams = None
                     yield stored.number, scan
                 elif stored.msgtype == POINT_CLOUD and stored.topic == scans:
                     yield stored.number, self._cloud_scan(stored, contents, mounts, poses)
                 elif odometry.is_in(stored):
+                    shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
                     for reading in odometry.readings(stored):
-                        yield stored.number, reading
+                        yield stored.number, delay_odometry(reading, shift)
                 elif stored.msgtype == IMU and stored.topic == imu:
-                    yield stored.number, self._yaw_rate(stored, contents)
+                    shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
+                    yield stored.number, delay_odometry(self._yaw_rate(stored, contents), shift)
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
                     pose = decode(stored.data, POSE, stored.encoding)
                     yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))
@@ -215,6 +233,39 @@ class RosReader(RecordingReader):
                     message = decode(stored.data, LASER_SCAN, stored.encoding)
                     candidates[stored.topic].add(scan_of(message, stored.received, LidarMount()))
         return choose_scan_topic(list(candidates.values()))
+
+    @cached_property
+    def _foreign_scans(self) -> tuple[frozenset[Stream], str | None]:
+        """Scans on the chosen topic that are not of the lidar, and the reason as text; none if they have one clock."""
+        topic, clocks = self._chosen_scan_topic[0], self._contents.clocks
+        if topic not in self._contents.counts.get(LASER_SCAN, Counter()) or not clocks.apart(topic):
+            return frozenset(), None
+        candidates = {stream: ScanTopic(stream.frame) for stream in clocks.streams(topic)}
+        for stored in self._messages_to_read(final=False):
+            if stored.msgtype == LASER_SCAN and (stream := stream_of(stored)) in candidates:
+                with suppress(ValueError):  # counted on the final pass
+                    message = decode(stored.data, LASER_SCAN, stored.encoding)
+                    candidates[stream].add(scan_of(message, stored.received, LidarMount()))
+        lidar = max(candidates, key=lambda stream: candidates[stream].quality)
+        foreign = frozenset(stream for stream in candidates if clocks.ahead(lidar, stream))
+        others = "; ".join(
+            f"{stream.frame}: {candidates[stream].describe()}" for stream in candidates if stream in foreign
+        )
+        return foreign, (
+            f"scans of {topic} with the frame {lidar.frame}: {candidates[lidar].describe()} "
+            f"(left out, since they have another clock: {others})"
+        )
+
+    def _shifts(self, scans: str | None, odometry: OdometryTopic, imu: str | None) -> dict[Stream | None, float]:
+        """Return the seconds to be added to stamps of odometry and gyroscope on another clock than the scans."""
+        clocks = self._contents.clocks
+        lidars = [stream for stream in clocks.streams(scans) if stream not in self._foreign_scans[0]]
+        shifts: dict[Stream | None, float] = {}
+        for stream, seconds in clocks.shifts(lidars[0]).items() if lidars else ():
+            if stream.topic in (odometry.topic, imu) or (stream.frame, stream.child) == odometry.frames:
+                shifts[stream] = seconds
+                self.interpret(f"stamps of {stream.topic} moved by {seconds:.3f} s: its clock is not that of the scans")
+        return shifts
 
     @cached_property
     def _odometry(self) -> OdometryTopic:

@@ -175,6 +175,7 @@ def test_bad_line_is_counted_and_located(tmp_path: Path, line: str) -> None:
         (b"\x00\xff\x80" * 1000, "not a CARMEN log"),
         (b"some text\nabout nothing\n", "not a CARMEN log"),
         (b"FLASER 3 1 2\n", "not a CARMEN log"),
+        (b"1361431443 14554 0 0 559 557\n", "line: does not begin with the name of a message"),
         (b"\x1f\x8b\x08garbage", "gzip"),
         (gzip.compress(b"", mtime=0), "is empty"),
     ],

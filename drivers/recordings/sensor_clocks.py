@@ -1,0 +1,120 @@
+"""Compare the clocks of the sensors of a recording.
+
+A message has two times: its stamp, by the clock of the computer that read the sensor, and its reception, by the clock
+of the recorder. A robot may have several computers, and not all know the time: a small one without a battery begins in
+1970 or where it stopped, a simulator counts from zero. Then stamps of one sensor are years away from those of another.
+How much later than its stamp a message is received differs between messages by the delays of transport, and between
+clocks by a constant.
+"""
+
+from __future__ import annotations
+
+import struct
+from array import array
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from .point_clouds import POINT_CLOUD
+from .ros_messages import IMU, LASER_SCAN, ODOMETRY, TRANSFORMS, TRANSFORMS_ROS1
+from .stored_messages import StoredMessage
+from .transforms import normalize_frame
+
+MIN_DIFFERENCE = 5.0
+"""Seconds between two clocks at least. Origin: chosen; computers that process a scan or a radio link with an even delay
+take less, and stamps that are late for such a reason are right."""
+EXTREMES = (1.0, 99.0)
+"""Percentiles of the times from stamp to reception that are taken for their range. Origin: chosen, one message in a
+hundred may have a wrong stamp."""
+MAX_SPREAD = 0.5
+"""Range of these times, as a share of the difference, up to which the difference is constant. Origin: geometry; the
+ranges of two clocks are apart then."""
+STAMPED = frozenset({LASER_SCAN, ODOMETRY, IMU, POINT_CLOUD})
+"""Types of messages that begin with a header."""
+MOVED = frozenset({TRANSFORMS, TRANSFORMS_ROS1})
+"""Types of messages that are lists of transforms, each of which begins with a header."""
+
+
+class Stream(NamedTuple):
+    """Messages from one sensor: their topic, the frame of their header, and for transforms the frame that they move."""
+
+    topic: str
+    frame: str
+    child: str = ""
+
+
+@dataclass(slots=True)
+class SensorClocks:
+    """Seconds from the stamp to the reception of the messages of each stream."""
+
+    delays: dict[Stream, array[float]] = field(default_factory=dict)
+
+    def add(self, stored: StoredMessage) -> None:
+        """Add a message; those without a stamp do not count."""
+        found = _header(stored)
+        if found is not None and found[0]:
+            nanoseconds, stream = found
+            self.delays.setdefault(stream, array("d")).append((stored.received - nanoseconds) * 1e-9)
+
+    def streams(self, topic: str | None) -> list[Stream]:
+        """Return the streams of a topic, that with the most messages first."""
+        return sorted((s for s in self.delays if s.topic == topic), key=lambda s: -len(self.delays[s]))
+
+    def apart(self, topic: str | None) -> bool:
+        """Return true if a topic has streams of different clocks."""
+        return any(self.ahead(one, other) for one, other in combinations(self.streams(topic), 2))
+
+    def shifts(self, lidar: Stream) -> dict[Stream, float]:
+        """Return the seconds to be added to the stamps of each stream of another clock than a lidar's."""
+        ahead = {stream: self.ahead(lidar, stream) for stream in self.delays if stream.topic != lidar.topic}
+        return {stream: seconds for stream, seconds in ahead.items() if seconds}
+
+    def ahead(self, one: Stream, other: Stream) -> float:
+        """Return the seconds by which the clock of one stream is ahead of that of another; 0.0 if it is the same."""
+        if one not in self.delays or other not in self.delays:
+            return 0.0
+        (low, median, high), (other_low, other_median, other_high) = self._range(one), self._range(other)
+        difference = other_median - median
+        spread = max(high - low, other_high - other_low)
+        constant = spread <= MAX_SPREAD * abs(difference)
+        return difference if abs(difference) >= MIN_DIFFERENCE and constant else 0.0
+
+    def _range(self, stream: Stream) -> tuple[float, float, float]:
+        low, high = EXTREMES
+        values = np.percentile(np.frombuffer(self.delays[stream]), (low, 50.0, high))
+        return float(values[0]), float(values[1]), float(values[2])
+
+
+def stream_of(stored: StoredMessage) -> Stream | None:
+    """Return the stream of a message; None if it has no header."""
+    found = _header(stored)
+    return None if found is None else found[1]
+
+
+def _header(stored: StoredMessage) -> tuple[int, Stream] | None:
+    """Return the stamp (nanoseconds) and the stream of a message, of a list of transforms those of the first."""
+    moved = stored.msgtype in MOVED
+    if not moved and stored.msgtype not in STAMPED:
+        return None
+    cdr = stored.encoding == "cdr"
+    order = ">" if cdr and stored.data[1:2] == b"\0" else "<"
+    # CDR has a head of four bytes, a list its length, and ROS 1 a sequence number in each header.
+    at = 4 * cdr + 4 * moved + 4 * (not cdr)
+    try:
+        seconds, nanoseconds = struct.unpack_from(f"{order}iI", stored.data, at)
+        frame, at = _string(stored.data, at + 8, order)
+        child = _string(stored.data, at + (-at % 4 if cdr else 0), order)[0] if moved else ""
+    except (struct.error, UnicodeDecodeError):
+        return None
+    return seconds * 10**9 + nanoseconds, Stream(stored.topic, normalize_frame(frame), normalize_frame(child))
+
+
+def _string(data: bytes, at: int, order: str) -> tuple[str, int]:
+    """Return the string at a place of serialised data, and the place after it."""
+    (length,) = struct.unpack_from(f"{order}I", data, at)
+    end = at + 4 + length
+    if end > len(data):
+        raise struct.error("string is cut short")
+    return data[at + 4 : end].rstrip(b"\0").decode(), end
