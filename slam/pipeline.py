@@ -136,8 +136,9 @@ class Slam:
             before = None
         result = self._estimator.process(processed, timer)
         if self._motions.learns:
-            tracking = result.tracking
-            self._motions.correct(processed.stamp, tracking.motion_since(before), tracking.covariance)
+            tracking, matched = result.tracking, self._estimator.state.matched_pose
+            turned = 0.0 if matched is None else float(se2.between(tracking.pose, matched)[2])
+            self._motions.correct(processed.stamp, tracking.motion_since(before), tracking.covariance, turned)
         if self._motions.predicted:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
         if not self.frozen and self.slam_state.in_familiar_place:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, TypeAlias
 
+from .. import se2
 from ..messages import InitialPose, Message, Odometry, Scan, SourceReport
 from ..recordings.point_clouds import POINT_CLOUD, scan_of_cloud
 from ..recordings.ros_messages import (
@@ -32,7 +33,7 @@ from ..recordings.ros_messages import (
     yaw_rate_of,
 )
 from ..recordings.tf_odometry import TransformOdometry
-from ..recordings.transforms import TransformTree
+from ..recordings.transforms import TransformTree, normalize_frame
 from .encoder import POSE_WITH_COVARIANCE
 from .inputs import Inputs
 from .link import DEFAULT, MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
@@ -50,6 +51,10 @@ WRONG_FRAME = "initial pose in another frame than the map's"
 LATE = "older than one received before"
 CLOCK_CONFIRMATIONS = 5
 """Messages in a row that are older than those before, after which the clock was set back. Origin: as in recordings."""
+MAX_CLOCK_STEP = 5.0
+"""Seconds by which a clock may be set back so that messages are dropped until it has caught up. Origin: chosen, about
+what it takes to finish a map and to recognise the place of the robot in it; not measured.
+"""
 
 _Kind: TypeAlias = tuple[type[Message], int]
 """Type of a message, and the number of the lidar."""
@@ -74,13 +79,15 @@ class RosReceiver:
     on_odometry  called with each odometry reading, from a thread of the link
     paused       true: scans are dropped
     report       counts of what was received and dropped
+    clock_was_set_back  true if the stamps of odometry and scans have begun again, by more than MAX_CLOCK_STEP earlier,
+                 as in a simulation that is reset or a bag that is played again; nothing arrives until `begin_again`
     """
 
     def __init__(
         self, link: Link, inputs: Inputs, on_odometry: Callable[[Odometry], None] = lambda reading: None
     ) -> None:
         self.report = SourceReport()
-        self.paused = False
+        self.paused = self.clock_was_set_back = False
         self.inputs, self._on_odometry = inputs, on_odometry
         self._tree = TransformTree()
         self._tf_odometry = TransformOdometry(inputs.odometry_frame, inputs.base_frame, self._tree)
@@ -143,6 +150,15 @@ class RosReceiver:
             self._messages.clear()
             self._waiting = 0
 
+    def begin_again(self) -> None:
+        """Drop what was not fetched yet, and receive messages of any time."""
+        with self._changed:
+            self._messages.clear()
+            self._waiting = 0
+            self._latest.clear()
+            self._older.clear()
+            self.clock_was_set_back = False
+
     def missing(self) -> list[str]:
         """Return what has not arrived for SILENCE seconds, one line of text each, or cannot be used."""
         now, inputs, silence, lines = time.monotonic(), self.inputs, self._silence, []
@@ -151,8 +167,10 @@ class RosReceiver:
                 lines.append(f"no scans on {topic}")
         if inputs.uses_odometry and now - silence.odometry > SILENCE:
             lines.append(self._missing_odometry())
-        if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
-            lines.append("the clock was set back; messages are dropped until it has caught up: start the node again")
+        with self._changed:
+            older = max(self._older.values(), default=0)
+        if older >= CLOCK_CONFIRMATIONS:
+            lines.append("the clock of a sensor was set back; its messages are dropped until it has caught up")
         for frame in sorted(silence.unconnected):
             lines.append(f"no transform {inputs.base_frame} -> {frame}; scans are dropped until there is one")
         return lines
@@ -196,7 +214,12 @@ class RosReceiver:
             self._tree.add(message)  # older robots publish the mount here
 
     def _add_odometry(self, message: Any, received: int) -> None:
-        self._put_odometry(odometry_of(message, received))
+        """Add an Odometry, whose frame may be another one than the base's if a fixed transform connects them."""
+        reading, child = odometry_of(message, received), normalize_frame(message.child_frame_id)
+        if child and child != normalize_frame(self.inputs.base_frame):
+            offset = self._tree.mount_on(child, self.inputs.base_frame).pose
+            reading = reading if offset is None else replace(reading, pose=se2.compose(reading.pose, offset))
+        self._put_odometry(reading)
 
     def _add_initial_pose(self, message: Any, received: int) -> None:
         if message.header.frame_id.lstrip("/") != self.inputs.map_frame:
@@ -255,6 +278,8 @@ class RosReceiver:
         if message.stamp < latest:
             self._older[kind] += 1
             self._skip(LATE)
+            if latest - message.stamp > MAX_CLOCK_STEP and self._older[kind] >= CLOCK_CONFIRMATIONS:
+                self.clock_was_set_back = self.clock_was_set_back or self._others_are_older(kind)
             return False
         self._older[kind] = 0
         self._latest[kind] = message.stamp
@@ -267,6 +292,15 @@ class RosReceiver:
                 self._skip(TOO_SLOW)
         self._changed.notify()
         return True
+
+    def _others_are_older(self, kind: _Kind) -> bool:
+        """Return True if odometry and the scans of a lidar are both older than before; if one is, its sensor is wrong.
+
+        kind  what is older; without odometry, and of scans that are paused, nothing else can be expected to be so
+        """
+        kinds = {kind[0] for kind, count in self._older.items() if count}
+        alone = Scan if not self.inputs.uses_odometry else Odometry if self.paused else None
+        return kind[0] is alone or {Scan, Odometry} <= kinds
 
     def _skip(self, reason: str) -> None:
         report = self.report

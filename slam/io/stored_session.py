@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from drivers import se2
 from drivers.messages import Scan
 from features import LearnedNoise
 
@@ -55,6 +56,11 @@ class StoredSession:
         stamps = [history.latest for history in self.odometry]
         stamps += [scan.stamp for scan in self.scans[-1:]] + [scan.stamp for scan in self.queued_scans]
         return max(stamps, default=-np.inf)
+
+    @property
+    def first_pose(self) -> se2.Pose:
+        """Pose (3,) of the first keyframe in the map."""
+        return self.slam_state.mapper.keyframe_poses[0].copy()
 
     def copy(self) -> StoredSession:
         """Return a copy that a run which continues this session does not change."""

@@ -23,7 +23,7 @@ SCALE_SIGMA = 0.01
 # Seconds over which turns are compared: the longer, the less the headings at both ends matter. Origin: chosen; not
 # measured.
 COMPARISON_INTERVAL = 2.0
-# Standard deviations beyond which a comparison is not used: a scan was placed wrongly.
+# Standard deviations beyond which a comparison is not used: a scan was placed wrongly, or the map was turned.
 # Origin: chi-square, 1 dof, 99.7 %.
 GATE = 3.0
 # Seconds without a rate after which the gyroscope is silent, and the wheels count. Origin: chosen, several periods of
@@ -75,16 +75,22 @@ class Gyroscope:
         first, last = self._angle(since), self._angle(until)
         return None if first is None or last is None else last - first - self.bias * (until - since)
 
-    def correct(self, stamp: float, turn: float | None, variance: float) -> None:
+    def correct(self, stamp: float, turn: float | None, variance: float, turned: float = 0.0) -> None:
         """Correct the bias by the turn of the path between the last scan and one at `stamp`.
 
         turn      radians; None if it is not known
         variance  of the heading of a scan
+        turned    radians by which the map then turned the pose of the later scan. What registrations sum up from one
+                  keyframe to the next is an error of the turn; if it is larger than their errors, as after a loop
+                  closure, the path until then was turned as well
         """
         if turn is None or self._since is None:
             self._since, self._registered = stamp, 0.0
             return
-        self._registered += turn
+        if turned**2 > GATE**2 * 2.0 * variance:
+            self._since = None
+            return
+        self._registered += turn + turned
         interval = stamp - self._since
         if interval < COMPARISON_INTERVAL:
             return

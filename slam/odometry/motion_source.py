@@ -43,13 +43,14 @@ class MotionSource:
         elif not self.predicted:
             yield self._wheels.combined(message)
 
-    def correct(self, stamp: float, motion: se2.Pose | None, covariance: Floats) -> None:
+    def correct(self, stamp: float, motion: se2.Pose | None, covariance: Floats, turned: float = 0.0) -> None:
         """Learn from the motion of the base between the last two scans, the later of them at `stamp` seconds.
 
         motion      None if it is not known
         covariance  (3, 3) of the pose of a scan
+        turned      radians by which the map then turned the pose of the later scan
         """
-        self._gyroscope.correct(stamp, None if motion is None else float(motion[2]), float(covariance[2, 2]))
+        self._gyroscope.correct(stamp, None if motion is None else float(motion[2]), float(covariance[2, 2]), turned)
         if self.predicted:
             self._prediction.correct(motion, covariance)
 

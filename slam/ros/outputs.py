@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -107,7 +108,9 @@ class NodeOutputs:
         self._put_grid_info = link.publish(names.resolve(f"{parameters.map_name}_metadata"), GRID_INFO, LATCHED)
         self._put_markers = link.publish(names.resolve(MARKER_TOPIC), MARKERS, LATCHED)
         self._put_diagnostics = link.publish(names.resolve("/diagnostics"), DIAGNOSTICS, DEFAULT)
-        self._lock = threading.Lock()
+        self._lock, self._sending = threading.Lock(), threading.Lock()
+        self._sent_grid: tuple[bytes, bytes] | None = None  # the last grid and its metadata
+        self._grid_sent_at = float("-inf")  # on the steady clock
         self._run = _RunState()
         self._grid: LiveGrid | None = None
 
@@ -116,7 +119,7 @@ class NodeOutputs:
 
         delay  seconds by which the lidar's stamps are late against odometry's
         """
-        self._run, self.shift = _RunState(PoseExtrapolator(delay)), 0.0
+        self._run, self.shift, self._sent_grid = _RunState(PoseExtrapolator(delay)), 0.0, None
         parameters = self._parameters
         self._grid = grid = LiveGrid(
             parameters.resolution, parameters.map_update_interval, parameters.max_laser_range, self._publish_grid
@@ -202,6 +205,7 @@ class NodeOutputs:
             self._publish(self._run.extrapolator.at_scan(stamp))
         if not 0.0 <= scan.stamp - self._run.status_stamp < DIAGNOSTICS_PERIOD:
             self._publish_status(scan.stamp)
+            self._send_grid()
 
     def _publish_status(self, stamp: float) -> None:
         run = self._run
@@ -235,8 +239,22 @@ class NodeOutputs:
 
     def _publish_grid(self, stamp: float, occupancy: Occupancy) -> None:
         grid = message_grid(occupancy)
-        self._put_grid(self._encoder.grid(stamp, self._parameters.map_frame, grid))
-        self._put_grid_info(self._encoder.grid_info(stamp, grid))
+        encoded = self._encoder.grid(stamp, self._parameters.map_frame, grid)
+        self._send_grid((encoded, self._encoder.grid_info(stamp, grid)))
+
+    def _send_grid(self, messages: tuple[bytes, bytes] | None = None) -> None:
+        """Publish a grid and its metadata; None: the last ones again, if no other was published for an interval.
+
+        Subscribers that do not ask for latched messages, as RViz by default, get a map that does not change, too.
+        """
+        with self._sending:
+            now = time.monotonic()
+            if messages is None and now < self._grid_sent_at + self._parameters.map_update_interval:
+                return
+            self._sent_grid, self._grid_sent_at = messages or self._sent_grid, now
+            if self._sent_grid is not None:
+                self._put_grid(self._sent_grid[0])
+                self._put_grid_info(self._sent_grid[1])
 
 
 def warm_up() -> None:

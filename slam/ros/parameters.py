@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ..errors import ConfigurationError
 
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
@@ -36,6 +37,10 @@ class NodeParameters(BaseModel):
         "mapping", description="continue the map of map_file_name, or only localise in it"
     )
     map_file_name: str = Field("", description="output directory of an earlier run; empty: an empty map")
+    map_start_pose: list[Finite] = Field(
+        [], description="rough pose [x, y, heading] of the base in the map of map_file_name; empty: it may be anywhere"
+    )
+    map_start_at_dock: bool = Field(False, description="the base is near the first pose in the map of map_file_name")
     resolution: float = Field(0.05, ge=0.001, lt=100, description="side of a cell of the grid, metres")
     max_laser_range: float = Field(
         float("inf"), gt=0, description="metres; longer beams are not drawn into the grid, but are used otherwise"
@@ -62,6 +67,13 @@ class NodeParameters(BaseModel):
         None, gt=0, allow_inf_nan=False, description="radians, the setting mapping.keyframe_turn"
     )
     use_sim_time: bool = Field(False, description="no effect: all times are those of the messages")
+
+    @field_validator("map_start_pose")
+    @classmethod
+    def _check_pose(cls, pose: list[float]) -> list[float]:
+        if len(pose) not in (0, 3):
+            raise ValueError("must have three numbers")
+        return pose
 
     def settings(self, resolve: Callable[[str], str] = str) -> list[str]:
         """Return the settings of the estimator that parameters set, as GROUP.KEY=VALUE.
@@ -90,7 +102,7 @@ loop_match_minimum_response_fine correlation_search_space_dimension correlation_
 correlation_search_space_smear_deviation loop_search_space_dimension loop_search_space_resolution
 loop_search_space_smear_deviation distance_variance_penalty angle_variance_penalty fine_search_angle_offset
 coarse_search_angle_offset coarse_angle_resolution minimum_angle_penalty minimum_distance_penalty
-use_response_expansion position_covariance_scale yaw_covariance_scale map_start_pose map_start_at_dock
+use_response_expansion position_covariance_scale yaw_covariance_scale
 min_laser_range minimum_laser_range min_pass_through occupancy_threshold restamp_tf use_map_saver
 use_lifecycle_manager localization_on_configure paused_processing lifelong_search_use_tree lifelong_minimum_score
 lifelong_iou_match lifelong_node_removal_score lifelong_overlap_score_scale lifelong_constraint_multiplier

@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 
 SUCCESS, NO_MAP, FAILURE = 0, 1, 255
 """Results of services, as slam_toolbox defines them."""
-START_AT_POSE, LOCALIZE = 2, 3
-"""Match types of deserialize_map with a start pose; the second one leaves the map unchanged."""
+START_AT_FIRST_NODE, START_AT_POSE, LOCALIZE = 1, 2, 3
+"""Match types of deserialize_map: the robot is near the first pose in the map, or near the one that is given; the last
+one leaves the map unchanged.
+"""
 
 
 class Receiver(Protocol):
@@ -112,8 +114,11 @@ class NodeServices:
         except SlamError as error:
             self._report(f"deserialize_map: {error}")
         else:
-            given = request.initial_pose if request.match_type in (START_AT_POSE, LOCALIZE) else None
-            pose = None if given is None else np.array([given.x, given.y, given.theta])
+            given, pose = request.initial_pose, None
+            if request.match_type in (START_AT_POSE, LOCALIZE):
+                pose = np.array([given.x, given.y, given.theta])
+            elif request.match_type == START_AT_FIRST_NODE:
+                pose = session.first_pose
             self._control.request(Restart(session, request.match_type == LOCALIZE, pose))
         return {}
 

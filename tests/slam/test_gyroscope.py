@@ -106,3 +106,22 @@ def test_a_wrong_scan_does_not_change_the_bias() -> None:
             turn = 1.0 if k == 3000 else 0.0
             gyroscope.correct(0.01 * k, turn if k else None, 1e-6)
     assert abs(gyroscope.bias - 0.01) < 3.0 * gyroscope.sigma
+
+
+def test_what_the_map_corrects_is_no_turn() -> None:
+    """Registrations of a robot that does not turn are off by the same each time; each keyframe turns them back."""
+    gyroscope = Gyroscope()
+    for k in range(1001):
+        gyroscope.add(YawRate(0.1 * k, 0.01))
+        turned = 100 * -1e-4 if k % 100 == 0 else 0.0
+        gyroscope.correct(0.1 * k, 1e-4, 1e-5, turned)
+    assert abs(gyroscope.bias - 0.01) < gyroscope.sigma < 5e-4
+
+
+def test_a_map_that_is_turned_does_not_change_the_bias() -> None:
+    """As after a loop closure."""
+    gyroscope = Gyroscope()
+    for k in range(1001):
+        gyroscope.add(YawRate(0.1 * k, 0.01))
+        gyroscope.correct(0.1 * k, 0.0, 1e-6, 0.05 if k == 5 else 0.0)
+    assert abs(gyroscope.bias - 0.01) < 3.0 * gyroscope.sigma

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -26,6 +27,7 @@ from ..options import (
 from .ros_options import (
     DriveOption,
     LinkOption,
+    LogLevelOption,
     OutOption,
     OwnBaseOption,
     ParameterFileOption,
@@ -63,6 +65,7 @@ def ros(
     param: ParameterOption = None,
     remap: RemapOption = None,
     ros_args: RosArgsOption = False,
+    log_level: LogLevelOption = None,
     base: OwnBaseOption = None,
     drive: DriveOption = False,
     max_speed: MaxSpeedOption = None,
@@ -135,13 +138,21 @@ def _prepare(
     plan: PlanOptions,
 ) -> RunSetup:
     """Load the settings, and the session or the plan; options take precedence over parameters."""
+    import numpy as np
+
     from ..run_setup import prepare_run
 
-    if parameters.map_file_name and continued is None and localized is None and plan.path is None:
-        session = Path(parameters.map_file_name)
-        continued, localized = (session, None) if parameters.mode == "mapping" else (None, session)
     overrides = [*parameters.settings(names.resolve), *(settings or ())]
-    return prepare_run(continued, localized, config, overrides, start_pose, plan)
+    if not parameters.map_file_name or continued or localized or plan.path:
+        return prepare_run(continued, localized, config, overrides, start_pose, plan)
+    session = Path(parameters.map_file_name)
+    continued, localized = (session, None) if parameters.mode == "mapping" else (None, session)
+    start = prepare_run(continued, localized, config, overrides, start_pose)
+    if start.pose is None and parameters.map_start_pose:
+        return replace(start, pose=np.array(parameters.map_start_pose))
+    if start.pose is None and parameters.map_start_at_dock and start.resumed is not None:
+        return replace(start, pose=start.resumed.first_pose)
+    return start
 
 
 def _parse_base(

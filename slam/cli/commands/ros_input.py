@@ -33,12 +33,14 @@ class DiscardedError(Exception):
     """The run has ended, and its results are not wanted."""
 
 
-class _SaveRequestedError(Exception):
-    """The run ends here, to be continued."""
+class _ContinuationError(Exception):
+    """The run ends here, and another one continues its map."""
 
 
 class RosInput:
     """A `RunInput` from ROS 2, which reports missing topics and transforms.
+
+    The run ends, too, if the clock is set back: normally if its map has changed, else by RestartRequestedError.
 
     start     settings, and the session that the run continues, if any
     duration  seconds; None: until a signal arrives
@@ -102,7 +104,7 @@ class RosInput:
                     mount = lidar_mount(message, self._start.config.of_lidar(message.lidar))
                     self._outputs.lidars[message.lidar] = mount[:2]
                 yield message
-        except _SaveRequestedError:
+        except _ContinuationError:
             return
         if not self._keep:
             raise DiscardedError
@@ -128,17 +130,19 @@ class RosInput:
         yield from held or ()
 
     def _after_each(self) -> None:
-        """End the run if a service requests it; print what is missing when that changes."""
+        """End the run if a service requests it or the clock is set back; print what is missing when that changes."""
         self._idle()
         if isinstance(self._control.pending, Restart):
             raise RestartRequestedError
         if isinstance(self._control.pending, Save):
             if self._modes.extends_map:
-                raise _SaveRequestedError
+                raise _ContinuationError
             print_message("serialize_map: the map is only localised in and does not change; nothing is written")
             self._control.answer(False)
         if isinstance(self._control.pending, SetMode):
             self._control.answer(self._modes.set(self._control.pending.frozen))
+        if self._receiver.clock_was_set_back:
+            raise _ContinuationError if self._modes.extends_map else RestartRequestedError
         missing = self._receiver.missing()
         if missing != self._missing:
             news = [line for line in missing if line not in self._missing]

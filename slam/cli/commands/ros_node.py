@@ -55,14 +55,16 @@ class RosNode:
                     start, modes, overwrite = self._restarted(start), ModeSwitch(), overwrite or target.exists()
                     continue
                 except MapError as error:
-                    if not isinstance(self.control.pending, Save):
-                        raise
-                    print_message(f"serialize_map: the map is not finished: {error}")
-                    self.control.answer(False)
+                    self._go_on_without_map(error)
                     continue
-                if not isinstance(self.control.pending, Save):
+                if not (isinstance(self.control.pending, Save) or self._is_behind_clock):
                     return lines
-                start, overwrite, modes = self._saved(start, target), True, modes.continued()
+                following = self._continued(start, target)
+                if isinstance(self.control.pending, Save):
+                    self._save(target)
+                else:
+                    self._follow_clock()
+                start, overwrite, modes = following, True, modes.continued()
 
     def _run_once(
         self,
@@ -74,6 +76,8 @@ class RosNode:
         duration: float | None,
         modes: ModeSwitch,
     ) -> list[str]:
+        if start.frozen and start.resumed is not None:  # the run changes it, and another one may begin with it
+            start = replace(start, resumed=start.resumed.copy())
         run_input = RosInput(
             self.receiver,
             self.outputs,
@@ -87,18 +91,45 @@ class RosNode:
         result = run_slam(run_input, start, target, overwrite=overwrite, review=review, picture=False, modes=modes)
         return format_summary(result, target)
 
+    @property
+    def _is_behind_clock(self) -> bool:
+        """True if a run has to begin because the clock was set back."""
+        return self.receiver.clock_was_set_back and not self.receiver.stopped
+
+    def _follow_clock(self) -> None:
+        self.receiver.begin_again()
+        print_message("the clock was set back; a new run continues the map when the robot is recognised in it")
+
+    def _go_on_without_map(self, error: MapError) -> None:
+        """State why nothing is saved, if another run begins nevertheless; else raise the error."""
+        if isinstance(self.control.pending, Save):
+            print_message(f"serialize_map: the map is not finished: {error}")
+            self.control.answer(False)
+        elif self._is_behind_clock:
+            self._follow_clock()
+        else:
+            raise error
+
     def _restarted(self, start: RunSetup) -> RunSetup:
-        """Return the setup of the run that was requested."""
+        """Return the setup of the run that was requested, or that the clock requires where the map does not change."""
         request = self.control.pending
-        assert isinstance(request, Restart)
+        if not isinstance(request, Restart):
+            self._follow_clock()
+            return replace(start, pose=None)
         self.receiver.discard()
         self.control.answer(True)
         print_message("the map is discarded; a new run begins")
         plan = start.plan if request.session is None else None  # a map without a session begins as the first one did
         return RunSetup(start.config, request.session, request.frozen, request.pose, plan)
 
-    def _saved(self, start: RunSetup, target: Path) -> RunSetup:
-        """Copy the finished run to where it was requested; return the setup of the run that continues it."""
+    def _continued(self, start: RunSetup, target: Path) -> RunSetup:
+        """Return the setup of a run that continues the finished one."""
+        if start.plan is not None:
+            print_message("the run goes on with what the map has of the plan, and without the plan")
+        return replace(start, resumed=read_session(target, solve=False), frozen=False, pose=None, plan=None)
+
+    def _save(self, target: Path) -> None:
+        """Copy the finished run to where it was requested."""
         request = self.control.pending
         assert isinstance(request, Save)
         succeeded = False
@@ -109,8 +140,4 @@ class RosNode:
             succeeded = True
         except (SlamError, OSError) as error:
             print_message(f"serialize_map: {error}")
-        following = replace(start, resumed=read_session(target, solve=False), frozen=False, pose=None, plan=None)
-        if start.plan is not None:
-            print_message("the run goes on with what the map has of the plan, and without the plan")
         self.control.answer(succeeded)
-        return following

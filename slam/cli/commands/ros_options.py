@@ -31,6 +31,9 @@ RemapOption = Annotated[
 RosArgsOption = Annotated[
     bool, typer.Option("--ros-args", help="No effect; launch files put it before the options above.")
 ]
+LogLevelOption = Annotated[
+    str | None, typer.Option("--log-level", metavar="LEVEL", help="No effect; launch files of Nav2 state it.")
+]
 OwnBaseOption = Annotated[
     list[str] | None,
     typer.Option("--base", metavar="SPEC", help="Wheel base of the node, whose odometry is published and used."),

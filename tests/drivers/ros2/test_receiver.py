@@ -150,15 +150,54 @@ def test_late_paused_and_damaged_messages_are_counted(link: MemoryLink, robot: R
     assert receiver.report.reasons == {LATE: 1, PAUSED: 1, damaged: 1}
 
 
-def test_clock_that_was_set_back_is_named(link: MemoryLink, robot: Robot) -> None:
+def test_clock_of_one_sensor_that_was_set_back_is_named(link: MemoryLink, robot: Robot) -> None:
     receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    robot.move(100.0, np.zeros(3))
     for stamp in (100.0, 1.0, 2.0, 3.0, 4.0):
         robot.scan(stamp)
     assert receiver.missing() == []
     robot.scan(5.0)
-    assert ["the clock was set back" in line for line in receiver.missing()] == [True]
+    robot.move(100.1, np.zeros(3))
+    assert ["the clock of a sensor was set back" in line for line in receiver.missing()] == [True]
+    assert not receiver.clock_was_set_back
     robot.scan(101.0)
     assert receiver.missing() == []
+
+
+@pytest.mark.parametrize(("back", "begins_again"), [(90.0, True), (3.0, False)])
+def test_a_clock_that_is_set_back_for_all_begins_again(
+    link: MemoryLink, robot: Robot, back: float, begins_again: bool
+) -> None:
+    """A short time is waited for. The second sensor whose clock is older decides, whichever that is."""
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    for stamp in (99.0, 100.0):
+        robot.scan(stamp)
+        robot.move(stamp, np.zeros(3))
+    for step in range(6):
+        assert not receiver.clock_was_set_back
+        robot.move(100.0 - back + 0.1 * step, np.zeros(3))
+    robot.scan(100.0 - back)
+    robot.move(100.7 - back, np.zeros(3))
+    assert receiver.clock_was_set_back == begins_again
+    receiver.begin_again()
+    assert not receiver.clock_was_set_back
+    robot.move(100.8 - back, np.zeros(3))
+    robot.scan(100.8 - back)
+    assert [message.stamp for message in messages(receiver)] == pytest.approx([100.8 - back] * 2)
+
+
+def test_odometry_messages_of_another_frame_are_moved(link: MemoryLink, robot: Robot) -> None:
+    """Their frame is base_link; that of the robot is fixed beside it. Frames that nothing connects are taken as it."""
+    offset = np.array([0.2, 0.0, 0.5])
+    receiver = RosReceiver(link, Inputs(odometry="/odom"))
+    robot.odometry(1.0, np.array([1.0, 2.0, 0.3]))
+    robot.mount("base_link", "base_footprint", offset)
+    robot.odometry(2.0, np.array([1.0, 2.0, 0.3]))
+    before, after = messages(receiver)
+    assert isinstance(before, Odometry)
+    assert isinstance(after, Odometry)
+    assert np.array_equal(before.pose, [1.0, 2.0, 0.3])
+    assert after.pose == pytest.approx(se2.compose([1.0, 2.0, 0.3], offset))
 
 
 def test_scans_of_a_second_lidar_have_its_number_and_mount(link: MemoryLink, robot: Robot) -> None:

@@ -107,7 +107,7 @@ def robot_messages(path: Path) -> list[Published]:
 
 
 class OpenedReceiver(RosReceiver):
-    """Receiver that the test can stop."""
+    """Receiver that the test can stop, and that counts scans that were taken or dropped."""
 
     last: OpenedReceiver
 
@@ -125,6 +125,15 @@ class OpenedReceiver(RosReceiver):
         self._taken += isinstance(message, Scan)
         return message
 
+    def begin_again(self) -> None:
+        self._taken += self._waiting
+        super().begin_again()
+
+    def _put(self, message: Message) -> bool:
+        appended = super()._put(message)
+        self._taken += isinstance(message, Scan) and not appended
+        return appended
+
 
 def feed(link: MemoryLink, robot: list[Published], calls: dict[int, Callable[[], None]], patience: float) -> None:
     """Publish the robot's messages as fast as the node processes its scans, then end the run.
@@ -138,7 +147,9 @@ def feed(link: MemoryLink, robot: list[Published], calls: dict[int, Callable[[],
     scans = 0
     for item in robot:
         puts[item.topic](item.data)
-        scans += item.topic in SCAN_TOPICS
+        if item.topic not in SCAN_TOPICS:
+            continue
+        scans += 1
         opened = OpenedReceiver.last
         with opened.asked:
             opened.asked.wait_for(lambda opened=opened, wanted=scans: opened.taken >= wanted, patience)

@@ -82,6 +82,7 @@ def test_damaged_files_are_named(tmp_path: Path, text: str, reason: str) -> None
         ({"odom_fram": "odom"}, "odom_fram: no such parameter"),
         ({"resolution": -1.0}, "resolution: input should be greater"),
         ({"mode": "lifelong"}, "mode: input should be 'mapping' or 'localization'"),
+        ({"map_start_pose": [1.0, 2.0]}, "map_start_pose: value error, must have three numbers"),
         ({"transform_timeout": "soon"}, "transform_timeout: input should be a valid number"),
     ],
 )
