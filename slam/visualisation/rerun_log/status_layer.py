@@ -7,7 +7,7 @@ import math
 import rerun as rr
 
 from ...events import Relocalised, StateChanged, SuspectFound
-from .colours import ESTIMATE, MATCHED, REJECTED
+from .colours import CONTRADICTION, ESTIMATE, MATCHED
 from .rrd_writer import RrdWriter
 from .shapes import Height, to_3d
 
@@ -22,7 +22,7 @@ class StatusLayer:
     def __init__(self, writer: RrdWriter) -> None:
         self._writer = writer
         self._suspects = 0
-        shades = [ESTIMATE, MATCHED, REJECTED]
+        shades = [ESTIMATE, MATCHED, CONTRADICTION]
         writer.log_static(ENTITY, rr.StateConfiguration(values=["OK", "DEGENERATE", "LOST"], colors=shades))
 
     def log_initial(self) -> None:
@@ -46,7 +46,7 @@ class StatusLayer:
         mark = rr.Points3D.from_fields(
             positions=to_3d(event.position[None], Height.DECISION),
             radii=[SUSPECT_RADIUS],
-            colors=[REJECTED],
+            colors=[CONTRADICTION],
             labels=[f"suspect {event.text}"],
             show_labels=False,
         )
