@@ -50,7 +50,8 @@ class KeyframeLayer:
         writer.log_static("world/features/corners", rr.Points3D.from_fields(radii=_CORNER_SIZE, show_labels=False))
         for name, colour in (("matched", colours.MATCHED), ("gated_out", colours.ODOMETRY)):
             writer.log_static(f"world/features/{name}", rr.LineStrips3D.from_fields(radii=_THIN, colors=colour))
-        relocalised = rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.MATCHED, show_labels=True)
+        # Shown at the cursor only: the label of the loop that joins the parts of the map is at the same place.
+        relocalised = rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.MATCHED, show_labels=False)
         writer.log_static("world/relocalisations", relocalised)
 
     def move_robot(self, pose: se2.Pose) -> None:

@@ -38,8 +38,9 @@ class StatusLayer:
     def log_relocalisation(self, event: Relocalised) -> None:
         """Log the pose at which the robot was relocalised."""
         x, y, heading = (float(value) for value in event.pose)
-        text = f"relocalised in the map at ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.0f}°"
-        self._writer.log("log", rr.TextLog(text, level="WARN"))
+        x, y, degrees = (value + 0.0 for value in (round(x, 2), round(y, 2), round(math.degrees(heading))))  # no "-0"
+        text = f"relocalised in the map at ({x:.2f}, {y:.2f}) m, {degrees:.0f}°"
+        self._writer.log("log", rr.TextLog(text, level="INFO"))
 
     def log_suspect(self, event: SuspectFound) -> None:
         """Mark a suspect in the map, from its own time on."""

@@ -130,9 +130,7 @@ def test_the_log_opens_at_the_closure_without_errors_in_a_window(
         assert pixels_of(right, colour) > 100, colour
 
 
-def test_views_of_loop_decisions_are_shown_if_there_are_any(
-    corridor: tuple[Path, list[Event]], tmp_path: Path
-) -> None:
+def test_views_of_loop_decisions_are_shown_if_there_are_any(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
     without, decided = (
         write(tmp_path / "without.rrd", corridor[1]),
         write(tmp_path / "with.rrd", with_closure(corridor[1])),
