@@ -296,7 +296,7 @@ class Slam:
             settle_plan(self.slam_state, self._journal, self._publisher)
         end = self._journal.scans[-1].stamp
         state, journal = self.slam_state, self._journal
-        self._report.add_rejected_loops(state, end, ended=True)
+        self._report.end(state, end)
         summary = self._summary(end)
         summary |= settle_trajectory(state, journal, self._publisher, refined=self._refine and self._extends_map)
         if self._refine:

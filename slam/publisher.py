@@ -39,6 +39,7 @@ from .loop_closure.decision import LoopDecision
 from .loop_closure.loop_status import LoopStatus
 from .mapping.mapper import Mapper
 from .odometry.error_model import OdometryModel
+from .odometry_deviations import OdometryDeviations
 from .preprocessing.preprocessor import ProcessedScan
 
 # Keyframes between two events with the whole map.
@@ -48,9 +49,6 @@ MAP_INTERVAL_SHARE = 0.01
 # Factor by which the number of keyframes grows between two inspections of the graph: all inspections together cost
 # three times the last one.
 INSPECTION_GROWTH = 1.5
-# Metres and radians by which odometry must deviate from the scans since the last tracked one for a warning; less is
-# usual for worn wheels. Origin: chosen; not measured.
-SLIP_WARNING = 0.1, math.radians(10.0)
 
 
 class Publisher:
@@ -62,6 +60,7 @@ class Publisher:
         self._published_removed: frozenset[int] | None = None  # wall ids; None before the first map of a session
         self._inspected_keyframes = 0  # at the last inspection of the graph
         self._last_tracked: tuple[se2.Pose, se2.Pose] | None = None  # pose of a scan and of odometry
+        self._deviations = OdometryDeviations()
 
     def publish(self, event: Event) -> None:
         """Send an event to the sinks that receive its type."""
@@ -100,7 +99,7 @@ class Publisher:
         )
 
     def _publish_slip(self, scan: ProcessedScan, tracking: TrackingResult) -> None:
-        """Publish that odometry contradicts the scan, as a warning if it is far off.
+        """Publish that odometry contradicts the scan.
 
         Before the first tracked scan of a continued session nothing is published: the wheels count from where they were
         switched on, so nothing is known of the motion since the session was stored.
@@ -109,12 +108,12 @@ class Publisher:
             return
         pose, odometry = self._last_tracked
         deviation = se2.between(se2.between(pose, tracking.pose), se2.between(odometry, scan.odometry))
-        metres, radians = float(np.hypot(*deviation[:2])), abs(float(deviation[2]))
-        if metres > SLIP_WARNING[0] or radians > SLIP_WARNING[1]:
-            self.publish(Notice(scan.stamp, "odometry is far off from the scan: it slipped or jumped"))
-            return
-        off = f"{100 * metres:.0f} cm and {math.degrees(radians):.1f}°"
-        self.publish(Notice(scan.stamp, f"odometry deviates by {off} from the scans since the last one", "TRACE"))
+        self.publish(self._deviations.add(scan.stamp, deviation))
+
+    def publish_deviations(self, scans: int) -> None:
+        """Publish at the end of a run of a number of `scans` how often odometry was far off from them, if ever."""
+        if (notice := self._deviations.summary(scans)) is not None:
+            self.publish(notice)
 
     def publish_suspects(self, suspects: Sequence[Suspect], keyframe_stamps: Sequence[float]) -> None:
         """Publish the findings of the checks of a finished run."""

@@ -49,3 +49,8 @@ class ScanReport:
         for decision in state.loops.take_rejected(ended=ended):
             self._statistics.add_loop(state.keyframe_stamps[decision.keyframe], decision)
             self._publisher.publish_rejected_loop(decision, stamp, state.mapper)
+
+    def end(self, state: SlamState, stamp: float) -> None:
+        """Report at the end of a run the hypotheses of loops that remain, and how often odometry was far off."""
+        self.add_rejected_loops(state, stamp, ended=True)
+        self._publisher.publish_deviations(len(self._statistics.overlap_ratios))

@@ -77,7 +77,7 @@ def summarise_run(
 
 def format_summary(result: RunResult, out: Path) -> list[str]:
     """Return the summary as lines of text; `out` is the output directory."""
-    from ..visualisation.report_page.findings import group_warnings, reason_without_walls
+    from ..visualisation.report_page.findings import reason_without_walls, warning_lines
 
     summary = result.summary
     walls, corners, keyframes = (counted(summary[f"{noun}s"], noun) for noun in ("wall", "corner", "keyframe"))
@@ -103,8 +103,8 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items() if count)))
     rows += [("warning", text) for text in summary.get("doubts") or ()]
     rows += [("warning", text) for text in (reason_without_walls(summary),) if text]
-    warnings = group_warnings(summary["warnings"])
-    rows += [("warning", _repeated(text, stamps)) for text, stamps in list(warnings.items())[:SHOWN_WARNINGS]]
+    warnings = warning_lines(summary["warnings"])
+    rows += [("warning", line) for line in warnings[:SHOWN_WARNINGS]]
     if (more := len(warnings) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))
     rows.append(("results", f"{out}: {', '.join(sorted(entry.name for entry in out.iterdir()))}"))
@@ -129,13 +129,6 @@ def _plan(summary: dict[str, Any]) -> list[tuple[str, str]]:
     if (more := len(differences) - SHOWN_DIFFERENCES) > 0:
         rows.append(("", f"and {more} more differences in summary.json"))
     return rows
-
-
-def _repeated(text: str, stamps: list[float]) -> str:
-    """Return a warning with its first stamp, and how often it was repeated."""
-    if not stamps:
-        return text
-    return f"{text} ({f'{len(stamps)} times, first ' if len(stamps) > 1 else ''}at {stamps[0]:.2f} s)"
 
 
 def _loops(summary: dict[str, Any]) -> list[tuple[str, str]]:

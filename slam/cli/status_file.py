@@ -65,7 +65,7 @@ class StatusFile:
                 self._values["frozen"] = event.frozen
             case LoopDecided():
                 self._loops[str(event.status)] += 1
-            case Notice():
+            case Notice() if event.level != "TRACE":
                 self._values["notice"] = event.text
 
     def show(self, snapshot: Snapshot) -> None:

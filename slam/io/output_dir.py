@@ -47,6 +47,13 @@ EXPORTS = frozenset(
 removes them, too."""
 
 
+def require_results(path: Path) -> None:
+    """Raise MapError unless `path` is a directory, as results of a run are."""
+    if not path.is_dir():
+        found = "is not a directory" if path.exists() else "no such directory"
+        raise MapError(f"{path}: {found}; expected the output directory of `wclm run`")
+
+
 def refuse_results(recording: str) -> str:
     """Return the name of a recording; raises MapError if it is a directory with the map of a run instead."""
     if (Path(recording) / MAP).is_file():

@@ -16,7 +16,7 @@ from ..mapping.map_features import MapCorners, MapWalls
 from .json_files import read_json, write_json
 from .keyframes_csv import Keyframes, read_keyframes, write_keyframes
 from .map_json import read_map, write_map
-from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY
+from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY, require_results
 from .recorded_stamps import as_read, as_recorded
 from .tum import Trajectory, read_tum_poses, write_tum
 
@@ -75,8 +75,7 @@ def write_results(directory: Path, finished: Finished, config: Config, summary: 
 
 def read_run_results(path: Path) -> RunResults:
     """Read the results in the output directory of a run. Raises MapError naming the file that is missing or invalid."""
-    if not path.is_dir():
-        raise MapError(f"{path}: is not a directory; expected the output directory of `wclm run`")
+    require_results(path)
     for name in (MAP, TRAJECTORY, SUMMARY):
         if not (path / name).is_file():
             raise MapError(f"{path}: has no {name}; expected the output directory of `wclm run`")

@@ -163,7 +163,7 @@ class NodeOutputs:
             case ModeChanged():
                 self._run.frozen = event.frozen
                 self._publish_status(event.stamp)
-            case Notice():
+            case Notice() if event.level != "TRACE":
                 self._run.notice = event.text
             case SuspectFound():
                 self._run.suspects.append(event.text)

@@ -18,9 +18,11 @@ class Notices:
 
     def __init__(self) -> None:
         self.levels: list[str] = []
+        self.texts: list[str] = []
 
     def handle(self, event: Any) -> None:
         self.levels.append(event.level)
+        self.texts.append(event.text)
 
 
 def tracking_at(x: float, *, slipped: bool) -> Any:
@@ -28,8 +30,8 @@ def tracking_at(x: float, *, slipped: bool) -> Any:
     return SimpleNamespace(slipped=slipped, status=TrackingStatus.TRACKED, pose=np.array([x, 0.0, 0.0]))
 
 
-@pytest.mark.parametrize(("slip", "expected"), [(0.05, ["TRACE"]), (0.5, ["WARN"]), (None, [])])
-def test_a_slip_is_a_warning_if_it_is_large_and_nothing_before_the_first_tracked_scan(
+@pytest.mark.parametrize(("slip", "expected"), [(0.05, ["TRACE"]), (0.5, ["INFO"]), (None, [])])
+def test_a_slip_is_a_message_if_it_is_large_and_nothing_before_the_first_tracked_scan(
     slip: float | None, expected: list[str]
 ) -> None:
     notices = Notices()
@@ -41,3 +43,22 @@ def test_a_slip_is_a_warning_if_it_is_large_and_nothing_before_the_first_tracked
         publisher.publish_tracking(scan, tracking_at(0.0, slipped=False), mapper, model)
     publisher.publish_tracking(scan, tracking_at(slip or 0.5, slipped=True), mapper, model)
     assert notices.levels == expected
+
+
+def test_odometry_that_is_often_far_off_is_one_warning() -> None:
+    notices = Notices()
+    publisher = Publisher([notices])
+    mapper: Any = SimpleNamespace(keyframe_count=2)
+    model: Any = None
+    for stamp, x in enumerate((0.0, 0.5, 2.0, 2.3)):  # odometry stands still
+        scan: Any = SimpleNamespace(stamp=float(stamp), odometry=np.zeros(3))
+        publisher.publish_tracking(scan, tracking_at(x, slipped=stamp > 0), mapper, model)
+    publisher.publish_deviations(4)
+    assert notices.levels == ["INFO", "TRACE", "TRACE", "WARN"]
+    assert notices.texts[-1] == "odometry was far off at 3 of 4 scans, most by 1.50 m and 0.0°; the scans were used"
+
+
+def test_there_is_no_warning_of_odometry_that_was_never_far_off() -> None:
+    notices = Notices()
+    Publisher([notices]).publish_deviations(4)
+    assert notices.levels == []

@@ -63,7 +63,7 @@ class LiveDashboard:
                 self._loops[event.status] += 1
                 if event.status in (LoopStatus.ACCEPTED, LoopStatus.RETRACTED):
                     print_message(f"loop closure {event.status}: keyframe {event.index} to keyframe {event.old}")
-            case Notice():
+            case Notice() if event.level != "TRACE":
                 self._notice = event.text
             case Relocalised():
                 x, y, heading = event.pose

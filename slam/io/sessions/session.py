@@ -19,7 +19,7 @@ from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
 from ...mapping.wall_roughness import WallRoughness
 from ...preprocessing.scan_sequence import ScanSequence
-from ..output_dir import CONFIG, SESSION
+from ..output_dir import CONFIG, SESSION, require_results
 from ..stored_session import StoredSession
 from .agreement import agreement_state
 from .graph import read_factors, read_graph, write_factors, write_variables
@@ -92,8 +92,7 @@ def read_session(path: Path, *, solve: bool = True) -> StoredSession:
     solve  solve the graph with all keyframes. If not, the last ones may be waiting for that, and a continued run gives
            exactly the estimate of an uninterrupted one
     """
-    if not path.is_dir():
-        raise MapError(f"{path}: is not a directory; expected the output directory of `wclm run`")
+    require_results(path)
     folder = path / SESSION
     if not is_session(path):
         raise MapError(f"{path}: has no {SESSION}/{HEADER}, so it cannot be continued or refined; run `wclm run` again")

@@ -135,6 +135,15 @@ def group_warnings(texts: list[str]) -> dict[str, list[float]]:
     return stamps
 
 
+def warning_lines(texts: list[str]) -> list[str]:
+    """Return each of equal warnings once, with its first stamp, and how often it was repeated."""
+    lines = []
+    for text, stamps in group_warnings(texts).items():
+        times = f"{counted(len(stamps), 'time')}, first " if len(stamps) > 1 else ""
+        lines.append(f"{text} ({times}at {stamps[0]:.2f} s)" if stamps else text)
+    return lines
+
+
 def _warning_findings(texts: list[str], trajectory: Trajectory) -> Iterator[Finding]:
     """Yield equal warnings once, with their times."""
     for text, at in group_warnings(texts).items():

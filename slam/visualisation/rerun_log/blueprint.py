@@ -49,6 +49,7 @@ class Extent:
     decided       True if there are loop decisions; the viewer warns of a table without rows
     corrected     True if a loop was closed or a closure retracted
     fitted        True if chi² has several values, and its plot is a line; after offline estimation it has one
+    running       True if the run goes on, so that a loop may be closed yet
     mapped        True if the run has added several keyframes; a robot that is only localised adds few or none
     typical_time  milliseconds that most keyframes take; the time plot shows twice that, because the first keyframe,
                   which waits for the compiler, would flatten all others
@@ -62,6 +63,12 @@ class Extent:
     corrected: bool = False
     fitted: bool = True
     mapped: bool = True
+    running: bool = False
+
+    @property
+    def compares(self) -> bool:
+        """True if the map before and after a correction is to be shown."""
+        return self.corrected or (self.decided and self.running)
 
 
 def layout(extent: Extent) -> rrb.Blueprint:
@@ -71,12 +78,13 @@ def layout(extent: Extent) -> rrb.Blueprint:
     # On the timeline of corrections a plot has one value for each, so other panels are in front there.
     plots_of_path, plots_of_fit = panels.plots()
     fitted = extent.fitted and extent.mapped
-    of_path = 1 if extent.mapped else len(plots_of_path)  # the last one is the status, the only one between keyframes
-    left = rrb.Tabs(panels.compared_points(), *plots_of_path, active_tab=0 if extent.corrected else of_path)
+    compared = panels.compared_points()
+    shown = 0 if extent.mapped else len(plots_of_path) - 1  # the last one is the status, the only one between keyframes
+    left = rrb.Tabs(*compared, *plots_of_path, active_tab=0 if extent.corrected else len(compared) + shown)
     right = rrb.Tabs(panels.histogram(), *plots_of_fit, active_tab=1 if fitted and not extent.corrected else 0)
     rows = rrb.Tabs(panels.log(), *panels.decisions(), active_tab=0)
     plots = rrb.Horizontal(left, right, rows, column_shares=[3, 3, 5])
-    texts = rrb.Tabs(*panels.documents(), active_tab=0 if extent.corrected else 1)
+    texts = rrb.Tabs(*panels.documents(), active_tab=1 if extent.decided and not extent.corrected else 0)
     top = rrb.Horizontal(panels.maps(), panels.details(), texts, column_shares=[4, 4, 3])
     by_progress = KEYFRAME if extent.mapped else SENSOR_TIME
     return _whole(rrb.Vertical(top, plots, row_shares=[5, 2]), CLOSURE if extent.corrected else by_progress)
@@ -88,7 +96,7 @@ def side_by_side(extents: Mapping[str, Extent]) -> rrb.Blueprint:
     for root, extent in extents.items():
         panels = _Panels(f"{root}/", extent, WIDE_ASPECT)
         views = [view for together in panels.plots() for view in together]
-        views += [panels.compared_points(), panels.histogram()]
+        views += [*panels.compared_points(), panels.histogram()]
         plots = rrb.Tabs(*views, *panels.decisions(), active_tab=0)
         texts = rrb.Tabs(panels.log(), *panels.documents(), active_tab=0)
         columns.append(rrb.Vertical(panels.maps(root), panels.details(), texts, plots, row_shares=[5, 5, 3, 3]))
@@ -147,18 +155,19 @@ class _Panels:
         """Return the views of corrections, the robot's surroundings and factors."""
         before = ("before/**", "shift", "map/walls", "path/estimate", "path/recent", "loops/**", "robot/**")
         factors = ("factors/**", "map/walls", "robot/**")
+        compared = [self._from_above("Before / after", [f"$origin/{entity}" for entity in before])]
         return rrb.Tabs(
-            self._from_above("Before / after", [f"$origin/{entity}" for entity in before]),
+            *(compared if self._extent.compares else []),
             self.close_up(),
             self._from_above("Factors", [f"$origin/{entity}" for entity in factors]),
             rrb.GraphView(origin=f"{self._root}graph", name="Graph"),
-            active_tab=0 if self._extent.corrected else 1,
+            active_tab=1 if self._extent.compares and not self._extent.corrected else 0,
         )
 
     def documents(self) -> list[rrb.TextDocumentView]:
-        """Return the views of the text documents."""
-        documents = {
-            "loops/report": "Last loop",
+        """Return the views of the text documents; the first one is that of the last loop if there is any."""
+        documents = {"loops/report": "Last loop"} if self._extent.decided else {}
+        documents |= {
             "legend": "Legend",
             "keyframe": "Keyframe",
             "residuals/report": "Residuals",
@@ -196,15 +205,18 @@ class _Panels:
             ],
         ]
 
-    def compared_points(self) -> rrb.Spatial3DView:
-        """Return the view of the points that the last decision compared."""
-        return rrb.Spatial3DView(
+    def compared_points(self) -> list[rrb.Spatial3DView]:
+        """Return the view of the points that the last decision compared; nothing if there is no decision."""
+        if not self._extent.decided:
+            return []
+        view = rrb.Spatial3DView(
             origin=f"{self._root}compared_points",
             name="Compared points",
             eye_controls=_eye_above(np.zeros(2), eye_distance(COMPARED_SIZE, COMPARED_SIZE, WIDE_ASPECT)),
             line_grid=_grid(1.0),
             background=BACKGROUND,
         )
+        return [view]
 
     def histogram(self) -> rrb.BarChartView:
         """Return the view of the distribution of the residuals."""

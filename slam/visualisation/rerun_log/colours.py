@@ -23,14 +23,15 @@ SCAN: Colour = (215, 185, 249)
 MATCHED: Colour = (240, 137, 38)
 NEW: Colour = (255, 75, 170)
 CLOSURE: Colour = (129, 255, 140)
-REJECTED: Colour = (190, 70, 38)
+CONTRADICTION: Colour = (190, 70, 38)
 BEFORE: Colour = (30, 81, 226)
 DISTINCT_COLOURS: tuple[Colour, ...] = (
-    WALL, CORNER, ESTIMATE, ODOMETRY, GROUND_TRUTH, SCAN, MATCHED, NEW, CLOSURE, REJECTED, BEFORE,
+    WALL, CORNER, ESTIMATE, ODOMETRY, GROUND_TRUTH, SCAN, MATCHED, NEW, CLOSURE, CONTRADICTION, BEFORE,
 )  # fmt: skip
 
 WALL_NEW: Colour = (165, 165, 172)
 WALL_SIGMA: Colour = (105, 105, 115)
+CORNER_SIGMA: Colour = (106, 100, 24)  # dim, as an ellipse may be as long as a wall
 BACKDROP: Colour = (117, 101, 136)  # scans of past keyframes: dim lavender
 FREE: Colour = (44, 46, 60)  # cells of the occupancy grid, dim as the map is drawn over them
 OCCUPIED: Colour = (96, 98, 112)
@@ -39,4 +40,4 @@ CONFIDENCE: tuple[Colour, ...] = ((86, 180, 233), (0, 158, 115), (240, 228, 66),
 ESTIMATE_SHADES: tuple[Colour, ...] = (ESTIMATE, (75, 105, 177), (48, 68, 114))  # darker: less certain
 
 # Series of one plot, in this order; the plot's legend names them.
-SERIES: tuple[Colour, ...] = (ESTIMATE, MATCHED, GROUND_TRUTH, NEW, CORNER, SCAN, WALL, REJECTED, WALL_NEW)
+SERIES: tuple[Colour, ...] = (ESTIMATE, MATCHED, GROUND_TRUTH, NEW, CORNER, SCAN, WALL, CONTRADICTION, WALL_NEW)

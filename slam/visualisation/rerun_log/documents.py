@@ -19,15 +19,15 @@ SUMMARY_PENDING = "The run has not ended, or it ended without a summary."
 # Names and meanings of the colours in colours.py.
 _LEGEND: tuple[tuple[str, str], ...] = (
     ("white", "wall of the map; dim: observed by fewer than 3 keyframes; outline in the close-up: 3 sigma"),
-    ("yellow", "corner of the map; ellipse: 3 sigma, left out if it is longer than 0.75 m"),
+    ("yellow", "corner of the map; dim ellipse: 3 sigma, left out if it is longer than 0.75 m"),
     ("light blue", "robot, path and keyframes, darker for less certain ones (5 cm, 20 cm); ellipse: 3 sigma"),
-    ("grey", "path from odometry alone, from the same start"),
+    ("grey", "path from odometry alone, from the same start; rejected loop; feature outside the gate, not used"),
     ("green", "true path if known, from the same start"),
     ("lavender", "scan of this keyframe; dim: of earlier ones"),
     ("orange", "matched with the map: segment, corner, recent wall; thin line: to its match; relocalised robot"),
     ("pink", "new: not in the map before"),
     ("light green", "accepted loop; arrows: shift of each keyframe"),
-    ("rust", "rejected by a gate: feature, loop; factor beyond 99.9 %; dashed: retracted loop; disc: suspect"),
+    ("rust", "contradictions: suspect (disc), factor beyond 99.9 %, retracted loop (dashed)"),
     ("dim areas", "of the final map: free space; grey dots in it are occupied"),
     ("deep blue", "before the last correction: walls and path; recent points before the loop's motion"),
 )
@@ -63,7 +63,7 @@ def loop_report(event: LoopDecided) -> str:
     """Return a report of a loop decision: the hypothesis, each test with its gate, and the correction."""
     x, y, heading = (float(value) for value in event.motion)
     lines = [
-        f"**Loop {event.candidate}: keyframe {event.index} at {event.old}, {event.status}**",
+        f"**Loop {event.candidate}: keyframe {event.index} at the place of keyframe {event.old}, {event.status}**",
         "",
         f"{event.reason}; motion of the robot ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.1f}°",
         "",

@@ -38,7 +38,7 @@ class FactorGraphLayer:
     def __init__(self, writer: RrdWriter, time_series: TimeSeries) -> None:
         self._writer, self._time_series = writer, time_series
         self._merged: list[tuple[int, int, int, bool]] = []  # keyframe, absorbed, kept, merged by a loop closure
-        outliers = rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.REJECTED, show_labels=True)
+        outliers = rr.LineStrips3D.from_fields(radii=_THICK, colors=colours.CONTRADICTION, show_labels=True)
         writer.log_static("world/factors/outliers", outliers)
         writer.log_static("world/factors/keyframe", rr.LineStrips3D.from_fields(radii=_THIN, show_labels=False))
 

@@ -48,9 +48,10 @@ class KeyframeLayer:
         segments = rr.LineStrips3D.from_fields(radii=_THICK, show_labels=False)
         writer.log_static("world/features/segments", segments)
         writer.log_static("world/features/corners", rr.Points3D.from_fields(radii=_CORNER_SIZE, show_labels=False))
-        for name, colour in (("matched", colours.MATCHED), ("gated_out", colours.REJECTED)):
+        for name, colour in (("matched", colours.MATCHED), ("gated_out", colours.ODOMETRY)):
             writer.log_static(f"world/features/{name}", rr.LineStrips3D.from_fields(radii=_THIN, colors=colour))
-        relocalised = rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.MATCHED, show_labels=True)
+        # Shown at the cursor only: the label of the loop that joins the parts of the map is at the same place.
+        relocalised = rr.LineStrips3D.from_fields(radii=_THIN, colors=colours.MATCHED, show_labels=False)
         writer.log_static("world/relocalisations", relocalised)
 
     def move_robot(self, pose: se2.Pose) -> None:
@@ -182,6 +183,6 @@ def _transform_columns(poses: list[se2.Pose]) -> Iterable[Any]:
 
 def _match_colours(matches: FeatureMatches) -> list[Colour]:
     return [
-        colours.REJECTED if landmark_id < 0 else colours.NEW if new else colours.MATCHED
+        colours.ODOMETRY if landmark_id < 0 else colours.NEW if new else colours.MATCHED
         for landmark_id, new in zip(matches.landmark_id.tolist(), matches.new.tolist(), strict=True)
     ]

@@ -57,7 +57,7 @@ class DecisionLayer:
         self._accepted: dict[int, tuple[int, int, str]] = {}  # by keyframe: keyframe, old keyframe, label
         self._retracted: list[tuple[int, int, str]] = []
         self._decision_visible = False
-        for name, colour in ((LoopStatus.ACCEPTED, colours.CLOSURE), (LoopStatus.RETRACTED, colours.REJECTED)):
+        for name, colour in ((LoopStatus.ACCEPTED, colours.CLOSURE), (LoopStatus.RETRACTED, colours.CONTRADICTION)):
             style = rr.LineStrips3D.from_fields(colors=colour, radii=_LOOP_WIDTH, show_labels=False)
             writer.log_static(f"world/loops/{name}", style)
         writer.log_static("world/loops/candidate", rr.LineStrips3D.from_fields(radii=_LOOP_WIDTH, show_labels=True))
@@ -172,7 +172,7 @@ def _shift_arrows(before: Floats, after: Floats) -> rr.Arrows3D:
 
 def _colour(status: LoopStatus) -> Colour:
     """Return the colour of a decision; only a wrong closure has that of errors."""
-    shades = {LoopStatus.ACCEPTED: colours.CLOSURE, LoopStatus.RETRACTED: colours.REJECTED}
+    shades = {LoopStatus.ACCEPTED: colours.CLOSURE, LoopStatus.RETRACTED: colours.CONTRADICTION}
     return shades.get(status, colours.ODOMETRY)
 
 

@@ -22,6 +22,10 @@ SIGMA_LIMITS = 0.05, 0.2  # metres; position sigmas that separate the shades of 
 
 _THIN, _THICK, _DOT = rr.Radius.ui_points(0.7), rr.Radius.ui_points(1.0), rr.Radius.ui_points(1.6)
 
+# Metres that a step of the path must exceed to be no drive, and the same as a multiple of the median step: sparse
+# recordings have a pose per metre. Origin: chosen; not measured.
+MIN_INTERRUPTION, INTERRUPTION = 1.0, 10.0
+
 
 class PathLayer:
     """Estimated path and keyframes, odometry path, and true path, each in the map frame."""
@@ -73,13 +77,26 @@ class PathLayer:
         self._log_blocks("truth", self._ground_truth, Height.GROUND_TRUTH, colours.GROUND_TRUTH)
 
     def _log_strip(self, name: str, poses: Floats) -> None:
-        strips = [to_3d(poses, Height.ESTIMATE)] if len(poses) > 1 else []
+        strips = [to_3d(piece, Height.ESTIMATE) for piece in driven_pieces(poses) if len(piece) > 1]
         self._writer.log(f"world/path/{name}", rr.LineStrips3D(strips, colors=colours.ESTIMATE, radii=_THICK))
 
     def _log_blocks(self, name: str, path: GrowingPath, height: Height, colour: Colour) -> None:
         for number, points in path.changed_blocks():
             strip = rr.LineStrips3D([to_3d(points, height)], colors=colour, radii=_THIN)
             self._writer.log(f"world/{name}/{number}", strip)
+
+
+def driven_pieces(path: Floats) -> list[Floats]:
+    """Return the pieces (k, 2 or more) of a path (n, 2 or more) in metres that were driven without interruption.
+
+    Between the drives of a merged or continued session, and where the robot was carried, there is no path.
+    """
+    steps = np.hypot(*np.diff(path[:, :2], axis=0).T)
+    moving = steps[steps > 0.0]
+    if not len(moving):
+        return [path]
+    interrupted = steps > max(MIN_INTERRUPTION, INTERRUPTION * float(np.median(moving)))
+    return np.split(path, np.flatnonzero(interrupted) + 1)
 
 
 class GrowingPath:

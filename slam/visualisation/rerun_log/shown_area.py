@@ -49,4 +49,4 @@ class ShownArea:
 
     def _update_live_viewers(self) -> None:
         if self._has_live_viewers:
-            self._writer.set_layout(layout(Extent(*self._shown, decided=self._decided)))
+            self._writer.set_layout(layout(Extent(*self._shown, decided=self._decided, running=True)))

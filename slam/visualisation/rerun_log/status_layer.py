@@ -7,7 +7,7 @@ import math
 import rerun as rr
 
 from ...events import Relocalised, StateChanged, SuspectFound
-from .colours import ESTIMATE, MATCHED, REJECTED
+from .colours import CONTRADICTION, ESTIMATE, MATCHED
 from .rrd_writer import RrdWriter
 from .shapes import Height, to_3d
 
@@ -22,7 +22,7 @@ class StatusLayer:
     def __init__(self, writer: RrdWriter) -> None:
         self._writer = writer
         self._suspects = 0
-        shades = [ESTIMATE, MATCHED, REJECTED]
+        shades = [ESTIMATE, MATCHED, CONTRADICTION]
         writer.log_static(ENTITY, rr.StateConfiguration(values=["OK", "DEGENERATE", "LOST"], colors=shades))
 
     def log_initial(self) -> None:
@@ -38,15 +38,16 @@ class StatusLayer:
     def log_relocalisation(self, event: Relocalised) -> None:
         """Log the pose at which the robot was relocalised."""
         x, y, heading = (float(value) for value in event.pose)
-        text = f"relocalised in the map at ({x:.2f}, {y:.2f}) m, {math.degrees(heading):.0f}°"
-        self._writer.log("log", rr.TextLog(text, level="WARN"))
+        x, y, degrees = (value + 0.0 for value in (round(x, 2), round(y, 2), round(math.degrees(heading))))  # no "-0"
+        text = f"relocalised in the map at ({x:.2f}, {y:.2f}) m, {degrees:.0f}°"
+        self._writer.log("log", rr.TextLog(text, level="INFO"))
 
     def log_suspect(self, event: SuspectFound) -> None:
         """Mark a suspect in the map, from its own time on."""
         mark = rr.Points3D.from_fields(
             positions=to_3d(event.position[None], Height.DECISION),
             radii=[SUSPECT_RADIUS],
-            colors=[REJECTED],
+            colors=[CONTRADICTION],
             labels=[f"suspect {event.text}"],
             show_labels=False,
         )

@@ -16,6 +16,7 @@ from ...errors import MapError
 from ...formatting import counted, percent
 from ...io.output_dir import SUMMARY
 from ...loop_closure.loop_status import LoopStatus
+from ..report_page.findings import warning_lines
 from ..report_page.loop_text import by_margin, loops_text, returns_text
 from .log_files import LogFiles, find_log
 from .loop_layer import DECISIONS
@@ -93,7 +94,7 @@ def _health(data: SessionData) -> Iterator[str]:
     review = data.summary.get("review") or {}
     if any(review.values()):
         yield "log         " + ", ".join(f"{count} events {name}" for name, count in review.items() if count)
-    warnings = data.summary.get("warnings") or []
+    warnings = warning_lines(data.summary.get("warnings") or [])
     for text in warnings[:3]:
         yield f"warning     {text}"
     if len(warnings) > 3:

@@ -108,7 +108,7 @@ def test_mistakes_are_one_line(wclm: Any, session: Path) -> None:
     wclm.refuses("measure", session, "--format", "svg", "--out", "a.dxf", because=["a.dxf", ".svg"])
     shutil.rmtree(session / SESSION)
     wclm.refuses("measure", session, because=[str(session), "session"])
-    wclm.refuses("measure", "nowhere", because=["nowhere", "not a directory"])
+    wclm.refuses("measure", "nowhere", because=["nowhere", "no such directory"])
 
 
 def test_a_regular_room_has_right_angles_and_its_true_dimensions(wclm: Any, session: Path) -> None:

@@ -372,7 +372,7 @@ def test_invalid_directory_is_refused(wclm: Any, ran: Path, command: str) -> Non
     def refuses(directory: str, *because: str) -> None:
         wclm.refuses(*command.format(directory).split(), because=because)
 
-    refuses("nowhere", "nowhere: is not a directory")
+    refuses("nowhere", "nowhere: no such directory")
     Path("empty").mkdir()
     refuses("empty", "empty: has no map.json; expected the output directory of `wclm run`")
     (ran / "report.html").unlink()

@@ -217,7 +217,7 @@ def test_directory_without_session_is_refused(tmp_path: Path) -> None:
     assert not is_session(tmp_path)
     with pytest.raises(MapError, match=r"has no session/session.json, so it cannot be continued or refined"):
         read_session(tmp_path)
-    with pytest.raises(MapError, match="is not a directory"):
+    with pytest.raises(MapError, match="no such directory"):
         read_session(tmp_path / "nowhere")
 
 

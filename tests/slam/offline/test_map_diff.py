@@ -244,7 +244,7 @@ def test_maps_without_a_common_place_are_an_error(wclm: Any, tmp_path: Path) -> 
     assert other.exit_code == 0, other.output
     assert "scans" not in wclm("diff", "room", "other", "--at", "0,0,0").stderr
     assert wclm("diff", "room", "room", "--at", "0.1,0").exit_code == 2
-    wclm.refuses("diff", "room", "nowhere", because=["nowhere: is not a directory"])
+    wclm.refuses("diff", "room", "nowhere", because=["nowhere: no such directory"])
     wclm.refuses("diff", "room", "room", "--svg", "a.png", because=["a.png", ".svg"])
 
 

@@ -142,7 +142,7 @@ def test_session_of_another_building_is_refused_by_name(sessions: dict[str, Path
 
 
 def test_command_refuses_wrong_input_with_one_line(wclm: Any, sessions: dict[str, Path]) -> None:
-    wclm.refuses("merge", sessions["first"], "nowhere", "--out", "out", because=["nowhere: is not a directory"])
+    wclm.refuses("merge", sessions["first"], "nowhere", "--out", "out", because=["nowhere: no such directory"])
     wclm.refuses("merge", sessions["first"], sessions["other"], "--out", "out", because=["other: is not recognised"])
     assert wclm("merge", sessions["first"], "--out", "out").exit_code == 2
     assert not Path("out").exists()

@@ -251,7 +251,7 @@ def test_a_run_is_saved_continued_discarded_and_begun_in_a_map(node_run: NodeRun
 
     output = run_node(link, robot, tmp_path / "end", {10: save, 15: begin_in_map, 20: reset}, patience=0.02)
     assert results == [0, 255, 255, 0]
-    assert f"wclm: deserialize_map: {tmp_path / 'nothing'}: is not a directory" in output
+    assert f"wclm: deserialize_map: {tmp_path / 'nothing'}: no such directory" in output
     assert not (tmp_path / "unchanged").exists()
     assert output.count("the map is discarded; a new run begins") == 2
     whole = read_tum(node_run.online / TRAJECTORY)

@@ -389,7 +389,7 @@ def test_a_relocalisation_is_in_the_text_log_and_its_pose_in_the_map(tmp_path):
     review = log_events(path, events)
     assert review.failures == 0, review.first_failure
     texts = dict(zip(last_levels(path), [text for _, (text,) in rows(path, "/log", "TextLog:text")], strict=True))
-    assert texts["WARN"] == "relocalised in the map at (4.00, -2.00) m, 90°"
+    assert texts["INFO"] == "relocalised in the map at (4.00, -2.00) m, 90°"
     outlines = last(path, "/world/relocalisations", "LineStrips3D:strips")
     assert len(outlines) == 2
     np.testing.assert_allclose(np.array(outlines[1])[0, :2], [4.0, -1.7], atol=1e-3)  # the tip of the arrow

@@ -130,9 +130,7 @@ def test_the_log_opens_at_the_closure_without_errors_in_a_window(
         assert pixels_of(right, colour) > 100, colour
 
 
-def test_the_table_of_loop_decisions_is_shown_if_there_are_any(
-    corridor: tuple[Path, list[Event]], tmp_path: Path
-) -> None:
+def test_views_of_loop_decisions_are_shown_if_there_are_any(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
     without, decided = (
         write(tmp_path / "without.rrd", corridor[1]),
         write(tmp_path / "with.rrd", with_closure(corridor[1])),
@@ -141,7 +139,9 @@ def test_the_table_of_loop_decisions_is_shown_if_there_are_any(
     for log, expected in ((without, 0), (tmp_path / "reviewed.rrd", 0), (decided, 1)):
         with viewer() as client:
             load(client, log)
-            assert [view.name for view in client.get_state().views].count("Loop decisions") == expected, log
+            names = [view.name for view in client.get_state().views]
+            for name in ("Loop decisions", "Last loop", "Compared points", "Before / after"):
+                assert names.count(name) == expected, (log, name)
 
 
 def test_the_log_of_a_robot_that_was_only_localised_opens_on_the_timeline_of_its_scans(
