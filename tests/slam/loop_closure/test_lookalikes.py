@@ -31,12 +31,14 @@ from slam.evaluation.benchmarks.loop_scoring import ScoredDecision
 from slam.evaluation.rates import upper_limit
 from slam.geometry.segments import Segments
 from slam.loop_closure import agreement
+from slam.loop_closure.decision import LoopDecision
 from slam.loop_closure.look import Look
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.submap_search import Submap, SubmapMatch, are_distinct, build_submap, improve
 from slam.loop_closure.votes import Search, Vote, find_votes
 from slam.matching.point_matcher import POINT_SPACING, SEARCH_FIT
 from slam.matching.scan_points import surface_points
+from slam.recognition.loop_evidence import LoopEvidence
 
 from ...recordings import recording_folder
 from ..outlines import outline
@@ -132,6 +134,22 @@ def test_no_wrong_closure_is_accepted_between_similar_places(
     result = run_world(world, seed)
     assert max(convincing, default=0) >= 2, "no look found two places, of which one must be wrong: it proves nothing"
     assert not result.wrong
+
+
+def test_looks_that_slid_along_a_corridor_close_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four looks agree on a place 25 m off, as everything fits along all of the corridor; the evidence is missing."""
+    rejected: list[str] = []
+
+    def recorded(search: LoopEvidence, *arguments: Any) -> LoopDecision:
+        decision = test(search, *arguments)
+        rejected.extend([decision.reason] if decision.status is LoopStatus.REJECTED else [])
+        return decision
+
+    test = LoopEvidence.test
+    monkeypatch.setattr(LoopEvidence, "test", recorded)
+    assert not run_world("bare_corridor", 8723).accepted
+    assert rejected, "looks did not agree, so this proves nothing"
+    assert "does not fit there" in rejected[0]
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
