@@ -17,7 +17,7 @@ COPY = "copy of another scan; left out"
 
 
 def without_copies(messages: Iterable[Message], anomalies: AnomalyCounter) -> Iterator[Message]:
-    """Yield messages, ordered by time, without scans that equal another one of the same lidar and stamp."""
+    """Yield messages, ordered by time, without scans that equal another one of the same lidar, mount and stamp."""
     stamp = float("nan")
     scans: list[Scan] = []  # those that were yielded with this stamp
     for message in messages:
@@ -32,8 +32,11 @@ def without_copies(messages: Iterable[Message], anomalies: AnomalyCounter) -> It
 
 
 def _is_copy(scan: Scan, other: Scan) -> bool:
+    if scan.lidar != other.lidar or (scan.mount is None) != (other.mount is None):
+        return False
+    same_mount = scan.mount is None or np.array_equal(scan.mount, other.mount)  # type: ignore[arg-type]
     return (
-        scan.lidar == other.lidar
+        same_mount
         and np.array_equal(scan.ranges, other.ranges, equal_nan=True)
         and np.array_equal(scan.angles, other.angles)
     )

@@ -12,7 +12,6 @@ from __future__ import annotations
 import struct
 from array import array
 from dataclasses import dataclass, field
-from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +30,8 @@ hundred may have a wrong stamp."""
 MAX_SPREAD = 0.5
 """Range of these times, as a share of the difference, up to which the difference is constant. Origin: geometry; the
 ranges of two clocks are apart then."""
+MAX_STREAMS = 1000
+"""Streams that are compared. Origin: chosen, more than any robot has; the frames of a damaged recording are random."""
 STAMPED = frozenset({LASER_SCAN, ODOMETRY, IMU, POINT_CLOUD})
 """Types of messages that begin with a header."""
 MOVED = frozenset({TRANSFORMS, TRANSFORMS_ROS1})
@@ -52,9 +53,9 @@ class SensorClocks:
     delays: dict[Stream, array[float]] = field(default_factory=dict)
 
     def add(self, stored: StoredMessage) -> None:
-        """Add a message; those without a stamp do not count."""
+        """Add a message; those without a stamp, and those of streams beyond MAX_STREAMS, do not count."""
         found = _header(stored)
-        if found is not None and found[0]:
+        if found is not None and found[0] and (found[1] in self.delays or len(self.delays) < MAX_STREAMS):
             nanoseconds, stream = found
             self.delays.setdefault(stream, array("d")).append((stored.received - nanoseconds) * 1e-9)
 
@@ -63,8 +64,9 @@ class SensorClocks:
         return sorted((s for s in self.delays if s.topic == topic), key=lambda s: -len(self.delays[s]))
 
     def apart(self, topic: str | None) -> bool:
-        """Return true if a topic has streams of different clocks."""
-        return any(self.ahead(one, other) for one, other in combinations(self.streams(topic), 2))
+        """Return true if a topic has a stream of another clock than that with the most messages."""
+        streams = self.streams(topic)
+        return any(self.ahead(streams[0], other) for other in streams[1:])
 
     def shifts(self, lidar: Stream) -> dict[Stream, float]:
         """Return the seconds to be added to the stamps of each stream of another clock than a lidar's."""

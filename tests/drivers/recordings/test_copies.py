@@ -50,3 +50,11 @@ def test_other_scans_with_the_same_stamp_are_kept(drive: list[Message], tmp_path
     messages, report = read(tmp_path / "same.mcap", [scan, replace(scan, ranges=scan.ranges + 0.01), scan])
     assert sum(isinstance(m, Scan) for m in messages) == 2
     assert report.skipped == 1
+
+
+def test_scans_of_two_lidars_on_the_robot_are_no_copies(drive: list[Message], tmp_path: Path) -> None:
+    scan = next(m for m in drive if isinstance(m, Scan))
+    rear = replace(scan, mount=np.array([-0.2, 0.0, np.pi]))
+    messages, report = read(tmp_path / "two.mcap", [scan, rear])
+    assert len(messages) == 2
+    assert not report.skipped

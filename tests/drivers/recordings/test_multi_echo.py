@@ -65,7 +65,7 @@ def test_a_bag_of_a_lidar_with_several_echoes_is_read(tmp_path: Path, write_bag:
 
 def test_scans_with_one_echo_are_preferred(tmp_path: Path, write_bag: WriteBag) -> None:
     scan = first_echoes(StoredMessage(1, "/first", MULTI_ECHO, "cdr", 1, multi_echo([[4.0]] * 4)))
-    entries = [("/echoes", MULTI_ECHO, k, multi_echo(BEAMS)) for k in range(3)]
+    entries = [("/echoes", MULTI_ECHO, k, multi_echo(BEAMS, second=k + 1)) for k in range(3)]
     bag = write_bag(tmp_path / "drive", [*entries, ("/first", LASER_SCAN, 4, scan.data)])
     (default,) = (message for message in BagReader(bag) if isinstance(message, Scan))
     np.testing.assert_array_equal(default.ranges, [4.0] * 4)

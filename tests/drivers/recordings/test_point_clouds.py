@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -112,7 +113,7 @@ def entries(count: int = 3) -> list[Stored]:
     mount = np.array([0.2, 0.0, 0.5])
     return [
         ("/tf_static", TRANSFORMS, 1, ENCODER.transform(0.0, "base_link", "laser", mount)),
-        *(("/points", POINT_CLOUD, 10 + k, cloud_of_scan(scan)) for k in range(count)),
+        *(("/points", POINT_CLOUD, 10 + k, cloud_of_scan(replace(scan, stamp=1.0 + k))) for k in range(count)),
     ]
 
 
