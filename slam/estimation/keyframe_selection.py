@@ -8,8 +8,6 @@ at the smaller one of the two distances everywhere, and walls that are no longer
 
 from __future__ import annotations
 
-import numpy as np
-
 from drivers import se2
 
 from ..geometry.pose_covariance import covariance_after
@@ -36,7 +34,7 @@ def is_due(state: SlamState, tracking: TrackingResult) -> bool:
     if state.anchor is None or state.at_part_begin:
         return True
     share = 1.0 if tracking.explained >= MIN_EXPLAINED else CLOSE_SHARE
-    return _moved(state, state.anchor_pose, tracking.predicted.pose, share)
+    return state.spacings(state.anchor_pose, tracking.predicted.pose) > share
 
 
 def learn_between_keyframes(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> None:
@@ -47,7 +45,7 @@ def learn_between_keyframes(state: SlamState, scan: ProcessedScan, tracking: Tra
     if state.anchor is None or state.kidnapped or state.slipped or state.frozen:
         return
     start = state.learned_until or state.anchor
-    if _moved(state, state.pose_of(start), tracking.predicted.pose, CLOSE_SHARE):
+    if state.spacings(state.pose_of(start), tracking.predicted.pose) > CLOSE_SHARE:
         pose = tracking.registration.pose
         learn_motion(state, scan.odometry, tracking)
         state.mapper.count_walls_seen_through(pose, scan.features.points.xy)
@@ -64,10 +62,3 @@ def learn_motion(state: SlamState, odometry: se2.Pose, tracking: TrackingResult)
     if start.covariance.any():
         information = inverse(inverse(information + CONDITIONING) + covariance_after(start.covariance, by_scan))
     state.odometry_model.add_motion(measured, by_scan, information)
-
-
-def _moved(state: SlamState, start: se2.Pose, end: se2.Pose, share: float) -> bool:
-    """Return True if two poses are farther apart than a share of the distance or turn between keyframes."""
-    motion, mapping = se2.between(start, end), state.config.mapping
-    far = np.hypot(motion[0], motion[1]) > share * mapping.keyframe_distance
-    return bool(far or abs(motion[2]) > share * mapping.keyframe_turn)

@@ -44,9 +44,9 @@ MIN_FAMILIARITY = 0.8  # Origin: as FAMILIAR_VISITS.
 # are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
 FAMILIAR_SIGMA = 0.05
 FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
-# `SlamState.steps` made elsewhere between two visits.
-# Origin: chosen, about 7 m of driving; not measured.
-VISIT_GAP = 20
+# Driving elsewhere between two visits, in spacings of keyframes: by default 6.6 m, or 200 degrees of turning. Keyframes
+# cannot be counted instead, as they are closer where much is new. Origin: chosen; not measured.
+VISIT_GAP = 10.0
 # Seconds between the two looks of a robot that only stands. Origin: chosen, people have moved on meanwhile; not
 # measured.
 SECOND_LOOK_TIME = 2.0
@@ -106,6 +106,7 @@ def update_map(
     tracked = tracking.status is TrackingStatus.TRACKED
     if tracked and is_due(state, tracking):
         state.pose = tracking.registration.pose
+        state.driven += 0.0 if state.anchor is None else state.spacings(state.anchor_pose, state.pose)
         familiar = _familiar_keyframe(state, tracking)
         if familiar is None:
             update = _add_keyframe(state, scan, tracking, timer)
@@ -157,8 +158,8 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     if state.kidnapped or state.at_part_begin or tracking.familiarity < MIN_FAMILIARITY:
         return None
     near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
-    steps = np.sort([state.keyframe_steps[k] for k in near])
-    before = steps[steps < state.steps - VISIT_GAP]  # without those of the current visit
+    driven = np.sort([state.keyframe_driven[k] for k in near])
+    before = driven[driven < state.driven - VISIT_GAP]  # without those of the current visit
     visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
     observable = weakest_direction(state.pose, tracking.registration.information, FAMILIAR_SIGMA) is None
     return int(near[0]) if visits >= (FAMILIAR_VISITS if observable else FAMILIAR_VISITS_IF_DEGENERATE) else None
@@ -167,7 +168,6 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
 def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, tracking: TrackingResult) -> None:
     """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
     state.mapper.solve_waiting()
-    state.steps += 1
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
     state.set_anchor(Anchor(keyframe, relative, tracking.registered_covariance, scan.odometry))
     state.kidnapped = state.kidnapped and not state.frozen
@@ -232,8 +232,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
         features.points.xy,
     )
     state.keyframe_stamps.append(scan.stamp)
-    state.keyframe_steps.append(state.steps)
-    state.steps += 1
+    state.keyframe_driven.append(state.driven)
     timer.lap("graph")
     state.local_map, merge = mapper.refresh(observations)
     state.set_anchor(Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -90,8 +91,8 @@ class SlamState:
     loop_evidence        decision on loops where places look alike
     joins                search for the place of a part of the map that is not connected
     keyframe_stamps      seconds
-    steps                number of keyframes so far, with those that were not made because the place was familiar
-    keyframe_steps       `steps` before each keyframe
+    driven               driving so far in spacings of keyframes, see `spacings`, also where places were familiar
+    keyframe_driven      `driven` up to each keyframe
     pose                 (3,) of the base in the map at the last tracked scan
     local_map            landmarks around the robot
     local_field          distance field of the keyframes around the robot
@@ -115,8 +116,8 @@ class SlamState:
         self.loop_evidence = LoopEvidence()
         self.joins = JoinSearch()
         self.keyframe_stamps: list[float] = []
-        self.steps = 0
-        self.keyframe_steps: list[int] = []
+        self.driven = 0.0
+        self.keyframe_driven: list[float] = []
         self.pose = np.zeros(3)
         self.local_map = empty_local_map()
         self.local_field = LocalField()
@@ -152,7 +153,10 @@ class SlamState:
         state = cls(config)
         state.odometry_model.add_samples(odometry_samples)
         state.mapper, state.trajectory, state.keyframe_stamps = mapper, trajectory, list(stamps)
-        state.steps, state.keyframe_steps = len(stamps), list(range(len(stamps)))
+        for start, end in pairwise(mapper.keyframe_poses):
+            state.keyframe_driven.append(state.driven)
+            state.driven += state.spacings(start, end)
+        state.keyframe_driven += [state.driven][: len(stamps)]  # of the last one
         state.anchor, state.learned_until = checkpoint.anchor, checkpoint.learned_until
         state.kidnapped = checkpoint.kidnapped
         state.kidnapped_keyframes = list(checkpoint.kidnapped_keyframes)
@@ -287,6 +291,12 @@ class SlamState:
         self.loops.clear()
         self.loop_evidence.clear()
         self.joins = JoinSearch(expected)
+
+    def spacings(self, start: se2.Pose, end: se2.Pose) -> float:
+        """Return how far apart two poses are, as a multiple of the configured distance or turn between keyframes."""
+        motion, mapping = se2.between(start, end), self.config.mapping
+        distance, turn = np.hypot(motion[0], motion[1]), abs(motion[2])
+        return float(max(distance / mapping.keyframe_distance, turn / mapping.keyframe_turn))
 
     @property
     def at_part_begin(self) -> bool:

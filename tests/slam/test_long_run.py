@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,16 +100,25 @@ def test_features_of_old_scans_are_not_kept_while_the_robot_is_only_localised(
     assert len(slam.finish().poses)
 
 
+def forth_and_back(seconds: float, legs: int) -> Iterator[list[Odometry | Scan]]:
+    """Return the measurements of each leg of a drive along one way of some `seconds`."""
+    simulation = Simulation("room", seed=3, duration=seconds, lidar=LidarModel(beams=180, rate=RATE))
+    once = [message for message in simulation if isinstance(message, Odometry | Scan)]
+    for leg in range(legs):
+        messages = list[Odometry | Scan]()
+        for message in once if leg % 2 == 0 else reversed(once):
+            after = message.stamp - once[0].stamp if leg % 2 == 0 else once[-1].stamp - message.stamp
+            still = replace(message, time_offsets=np.zeros(180)) if isinstance(message, Scan) else message
+            messages.append(replace(still, stamp=1.5 * seconds * leg + after))
+        yield messages
+
+
 def test_features_in_familiar_places_are_not_kept_wherever_the_last_keyframe_is() -> None:
     """The robot drives one way forth and back until all of it is familiar."""
-    simulation = Simulation("room", seed=3, duration=40.0, lidar=LidarModel(beams=180, rate=RATE))
-    once = [message for message in simulation if isinstance(message, Odometry | Scan)]
     slam, keyframes, kept = Slam(), list[int](), list[int]()
-    for lap in range(16):
-        for message in once if lap % 2 == 0 else reversed(once):
-            after = message.stamp - once[0].stamp if lap % 2 == 0 else once[-1].stamp - message.stamp
-            still = replace(message, time_offsets=np.zeros(180)) if isinstance(message, Scan) else message
-            slam.add(replace(still, stamp=61.0 * lap + after))
+    for messages in forth_and_back(40.0, 16):
+        for message in messages:
+            slam.add(message)
         keyframes.append(slam.slam_state.mapper.keyframe_count)
         kept.append(int(slam.snapshot().session.scans.has_features.sum()))
     new = keyframes[-1] - keyframes[-3]
@@ -126,6 +136,16 @@ def test_a_robot_on_patrol_makes_hardly_any_more_keyframes() -> None:
             if message.stamp > (len(keyframes) + 1) * lap:
                 keyframes.append(slam.slam_state.mapper.keyframe_count)
     assert keyframes[-1] - keyframes[3] < 0.1 * keyframes[0]  # in three laps
+
+
+def test_a_robot_that_shuttles_along_a_short_way_makes_no_more_keyframes() -> None:
+    """Its visits of a place are separated by few keyframes where these are far apart."""
+    slam, keyframes = Slam(), list[int]()
+    for messages in forth_and_back(18.0, 12):  # six metres
+        for message in messages:
+            slam.add(message)
+        keyframes.append(slam.slam_state.mapper.keyframe_count)
+    assert keyframes[-1] == keyframes[6]
 
 
 def test_features_of_a_keyframe_are_kept_although_it_seemed_to_be_in_a_familiar_place(
