@@ -20,7 +20,8 @@ from ..geometry.segments import Floats, Integers, Segments
 from .landmarks import Landmarks
 from .map_features import MapWalls
 from .plan import Plan
-from .plan_views import Ray, cast_views, find_viewpoints
+from .plan_views import Ray, cast_views
+from .ray_casting import pieces_near_line
 from .wall_cells import cells_between
 
 # Standard deviations of a plan's precision within which pieces are on one line. Origin: chosen, 99.7 %.
@@ -82,8 +83,7 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
     Without views there are no walls: the plan has no place that a robot fits in.
     """
     frames, members, spans = _merge_pieces(plan)
-    viewpoints = find_viewpoints(plan) if plan.viewpoints is None else plan.viewpoints
-    rays = cast_views(viewpoints, plan)
+    rays = cast_views(plan)
     covariance = _covariances(spans, sigmas, plan.precision)
     seen = [_visible_parts(ray, plan, frames, members) for ray in rays]
     covered: list[set[int]] = [set() for _ in frames]
@@ -92,11 +92,11 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
             covered[wall] |= cells_between(low, high)
     kept = [wall for wall, cells in enumerate(covered) if cells]
     number = {wall: row for row, wall in enumerate(kept)}
-    views = []
+    seen_frames, seen_covariance, views = frames[kept], covariance[kept], []
     for ray, (points, parts) in zip(rays, seen, strict=True):
         parts = [(number[wall], low, high) for wall, low, high in parts if wall in number]
-        views.append(_view(ray.position, points, parts, frames[kept], covariance[kept]))
-    walls = _walls(frames[kept], [covered[wall] for wall in kept], spans[kept], covariance[kept], views)
+        views.append(_view(ray.position, points, parts, seen_frames, seen_covariance))
+    walls = _walls(seen_frames, [covered[wall] for wall in kept], spans[kept], seen_covariance, views)
     rest = np.flatnonzero([not cells for cells in covered])
     hidden = se2.transform(frames[rest][:, None], np.stack([spans[rest], np.zeros((len(rest), 2))], axis=-1))
     return PlanMap(plan, walls, np.asarray(hidden).reshape(-1, 2, 2), views)
@@ -136,7 +136,7 @@ def _on_line(pieces: Floats, heading: Floats, left: NDArray[np.bool_], first: in
     start = pieces[first, 0]
     across = np.array([-math.sin(heading[first]), math.cos(heading[first])])
     # Most pieces of a large plan start farther away; twice the tolerance, so that rounding does not matter.
-    rows = np.flatnonzero(left & (np.abs(pieces[:, 0] @ across - start @ across) <= 2.0 * tolerance))
+    rows = pieces_near_line(pieces, left, start, across, 2.0 * tolerance)
     frame = np.array([start[0], start[1], heading[first]])
     ends = se2.transform(se2.inverse(frame), pieces[rows])
     near = (np.abs(ends[..., 1]).max(axis=1) <= tolerance) & (np.cos(heading[rows] - heading[first]) > 0.0)

@@ -71,8 +71,8 @@ class _TwoMaps:
 
     def __init__(self, old: Survey, new: Survey, movements: Movements) -> None:
         self.old, self.new, self.movements = old, new, movements
-        self._levers_old = levers(old.wall_map, movements.pairs[:, 0], movements.points[:, 0])
-        self._levers_new = levers(new.wall_map, movements.pairs[:, 1], movements.points[:, 1])
+        self._levers_old = levers(len(old.wall_map.walls), movements.pairs[:, 0], movements.points[:, 0])
+        self._levers_new = levers(len(new.wall_map.walls), movements.pairs[:, 1], movements.points[:, 1])
 
     def along_old(self, end: WallEnd, wall: int) -> float:
         """Return the metres along a wall of the old map of an end in the new map."""

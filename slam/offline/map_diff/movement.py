@@ -99,15 +99,20 @@ def _squared(rest: Floats, covariance: Floats) -> tuple[Floats, Floats]:
 
 def _at_points(wall_map: WallMap, rows: Integers, points: Floats) -> Floats:
     """Return the joint covariance (2 n, 2 n) of offset and heading of walls (n,), each `points` (n,) metres along."""
-    by_walls = levers(wall_map, rows, points)
-    return np.asarray(by_walls @ wall_map.covariance @ by_walls.T)
+    walls, own = np.unique(rows, return_inverse=True)  # few of the walls of a large plan
+    columns = np.column_stack([2 * walls, 2 * walls + 1]).ravel()
+    by_walls = levers(len(walls), own, points)
+    return np.asarray(by_walls @ wall_map.covariance[np.ix_(columns, columns)] @ by_walls.T)
 
 
-def levers(wall_map: WallMap, rows: Integers, points: Floats) -> Floats:
-    """Return the derivatives (2 n, 2 m) of offset and heading of n walls, `points` metres along, by those of all m."""
-    count = np.arange(len(rows))
-    by_walls = np.zeros((2 * len(rows), len(wall_map.covariance)))
-    by_walls[2 * count, 2 * rows] = 1.0
-    by_walls[2 * count, 2 * rows + 1] = points
-    by_walls[2 * count + 1, 2 * rows + 1] = 1.0
+def levers(count: int, rows: Integers, points: Floats) -> Floats:
+    """Return the derivatives (2 n, 2 m) of offset and heading of n walls, `points` metres along, by those of all m.
+
+    count  number of walls, m
+    """
+    place = np.arange(len(rows))
+    by_walls = np.zeros((2 * len(rows), 2 * count))
+    by_walls[2 * place, 2 * rows] = 1.0
+    by_walls[2 * place, 2 * rows + 1] = points
+    by_walls[2 * place + 1, 2 * rows + 1] = 1.0
     return by_walls
