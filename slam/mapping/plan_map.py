@@ -34,6 +34,11 @@ MIN_VISIBLE = 0.3
 # Rays that must meet a face, so that it is not seen through a gap of the drawing by chance. Origin: definition, a line.
 MIN_RAYS = 3
 
+VIEWS_END = -1000.0
+"""Stamp of the last view where views take the place of scans, seconds: before any recording, and so long before that
+odometry does not continue them. Origin: definition.
+"""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlanView:
