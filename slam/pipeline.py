@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -25,7 +24,7 @@ from .localisation_report import LocalisationReport
 from .loop_closure.agreement import LoopAgreement
 from .mapping.convergence import converge
 from .mapping.map_features import MapCorners, MapWalls
-from .mapping.plan_map import PlanMap
+from .mapping.plan_map import VIEWS_END, PlanMap
 from .odometry.motion_source import MotionSource
 from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
@@ -209,13 +208,11 @@ class Slam:
     def unfreeze(self) -> None:
         """Extend the map again from where the robot is; no effect if that is so already.
 
-        If the robot is LOST, it maps in a new part of the map, until that is recognised. Raises MapError if the map is
-        a plan.
+        If the robot is LOST, it maps in a new part of the map, until that is recognised. The walls of a plan are
+        landmarks from then on, with the covariances that they have in it.
         """
         if not self.frozen:
             return
-        if self._stored.earlier is not None and not self._stored.earlier.scans:
-            raise MapError("a plan cannot be extended; use it as a plan to map with")
         if self._journal.scans:
             self._estimator.unfreeze(self._journal.scans[-1].odometry)
         else:
@@ -312,8 +309,11 @@ class Slam:
 
     @property
     def _results_after(self) -> float:
-        """Stamp (seconds) after which poses are results: that of the end of an earlier session that is not extended."""
-        return -math.inf if self._extends_map else self._journal.resumed_at
+        """Stamp (seconds) after which poses are results: that of the end of an earlier session that is not extended.
+
+        Views of a plan are none: nothing was driven there.
+        """
+        return VIEWS_END if self._extends_map else self._journal.resumed_at
 
     def _summary(self, end: float) -> dict[str, object]:
         """Return the summary of the run up to the stamp `end` as plain data."""

@@ -60,7 +60,7 @@ class StoredSession:
     @property
     def first_pose(self) -> se2.Pose:
         """Pose (3,) of the first keyframe in the map."""
-        return self.slam_state.mapper.keyframe_poses[0].copy()
+        return np.array(self.slam_state.mapper.keyframe_poses[0])
 
     def copy(self) -> StoredSession:
         """Return a copy that a run which continues this session does not change."""

@@ -34,6 +34,9 @@ MIN_PIECE = 0.2
 MIN_VISIBLE = 0.3
 # Rays that must meet a face, so that it is not seen through a gap of the drawing by chance. Origin: definition, a line.
 MIN_RAYS = 3
+# Seconds: stamp of the last view where views take the place of scans, before any recording and so long before that
+# odometry does not continue them. Origin: definition.
+VIEWS_END = -1000.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,7 @@
 """Plans of a building: a robot localises in them, and mapping uses what agrees with them and reports what does not."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +165,29 @@ def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns(
     alone, planned = (run(messages, Slam(config, plan=one, start=start)) for one in (None, plan))
     assert errors(alone, messages, aligned=True).max() > 1.0
     assert errors(planned, messages).max() < 0.3
+
+
+def test_a_plan_that_is_localised_in_can_be_extended(drive: list[Message], tmp_path: Path) -> None:
+    """The eastern part of the office is not in the plan. The path has nothing but the drive."""
+    segments = load_world("office").segments.reshape(-1, 2, 2)
+    known = segments[segments[..., 0].max(axis=1) < WING + 0.5]
+    plan = build_plan_map(Plan("west", known, np.zeros(len(known), dtype=bool), 1e-3), SIGMAS)
+    slam = Slam(resumed=plan_session(plan, Config()), frozen=True, start=START)
+    for message in drive:
+        if slam.frozen and message.stamp > drive[0].stamp + 5.0:
+            slam.unfreeze()
+        slam.add(message)
+    walls = len(plan.walls)
+    finished = slam.finish()
+    assert finished.stamps[0] >= drive[0].stamp
+    assert len(finished.walls) > walls
+    assert errors(finished, drive).max() < 0.08
+    (tmp_path / CONFIG).write_text(config_to_toml(Config()))
+    write_session(tmp_path, slam.session)
+    continued = Slam(resumed=read_session(tmp_path))
+    for message in drive[-400:]:
+        continued.add(replace(message, stamp=message.stamp + 100.0))
+    assert continued.finish().stamps[0] >= drive[0].stamp
 
 
 def test_a_refined_map_is_supported_by_the_plan(drive: list[Message]) -> None:

@@ -16,7 +16,7 @@ from ...graph.factor_graph import FIRST_POSE_SIGMAS
 from ...localisation.local_field import REFERENCE_DISTANCE, LocalFieldState
 from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
-from ...mapping.plan_map import PlanMap, PlanView
+from ...mapping.plan_map import VIEWS_END, PlanMap, PlanView
 from ...mapping.plan_mapper import plan_mapper
 from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...matching.line_matcher import ScanFeatures
@@ -25,14 +25,11 @@ from ...odometry.history import OdometryHistory
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ..stored_session import StoredSession
 
-END = -1000.0
-"""Seconds at which the session ends: before any recording, and so long before that odometry does not continue it."""
-
 
 def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
     """Return a session with the map of a plan, which ends before any recording begins. Raises MapError."""
     mapper, views = plan_mapper(plan_map), plan_map.views
-    stamps = [END + k - len(views) for k in range(len(views))]
+    stamps = [VIEWS_END + 1.0 + k - len(views) for k in range(len(views))]
     scans = [_scan(stamp, view) for stamp, view in zip(stamps, views, strict=True)]
     trajectory = TrajectoryBuilder()
     for k, stamp in enumerate(stamps):

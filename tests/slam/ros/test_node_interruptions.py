@@ -168,7 +168,7 @@ def test_a_map_that_stays_the_same_is_sent_again(robot: list[Published], tmp_pat
     standing = [*first]
     for step in range(1, 40):
         standing += [later(tf, 0.1 * step), later(scan, 0.1 * step)]
-    run_node(link, standing, tmp_path / "out", {}, options=["-p", "map_update_interval:=0.01"])
+    run_node(link, standing, tmp_path / "out", {}, options=["-p", "map_update_interval:=0.01", "--log-level", "info"])
     grids = link.sent["/map"]
     assert len(grids) > len(set(grids)) > 0
     assert decode(grids[-1], GRID, "cdr").info.width > 0
