@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
@@ -69,11 +69,7 @@ CONFIG = Config.model_validate({"mapping": {"keyframe_distance": 3 * STEP}})
 def warm_up() -> None:
     """Compile, or load from disk, everything that a run with default settings calls."""
     if not is_compiled():
-        parts = (compile_preprocessing, compile_estimation)
-        code = "from slam.warmup import {0}; {0}()"
-        processes = [subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]) for part in parts]
-        for process in processes:
-            process.wait()
+        _compile_in_processes((compile_preprocessing, compile_estimation))
     slam = Slam(CONFIG)
     for message in _drive():
         slam.add(message)
@@ -86,6 +82,21 @@ def warm_up() -> None:
     _match_beside_person()
     _draw_grid()
     slam.finish()
+
+
+def _compile_in_processes(parts: Sequence[Callable[[], None]]) -> None:
+    """Call functions of this module at the same time, each in a process; they are ended with this one."""
+    code = "from slam.warmup import {0}; {0}()"
+    processes = []
+    try:
+        for part in parts:
+            processes.append(subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]))
+        for process in processes:
+            process.wait()
+    finally:  # also if a signal ends the command: they would keep the processors and the terminal for a minute
+        for process in processes:
+            process.kill()
+            process.wait()
 
 
 def compile_preprocessing() -> None:

@@ -1,8 +1,14 @@
 """After a warm-up nothing is compiled, neither by another one nor by runs; its two processes do most of it."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import slam
 
 COMPILED = """
 import gc, sys
@@ -69,3 +75,29 @@ def test_the_processes_of_the_first_compilation_share_the_work() -> None:
     first, both = map(float, answer.stdout.split())
     assert 0.1 < first < 0.7
     assert both > 0.9
+
+
+SLEEPING = "import time; time.sleep(60)"
+
+
+def test_a_signal_ends_the_processes_that_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They went on for a minute with both processors, and held the terminal."""
+    started: list[subprocess.Popen[bytes]] = []
+    waits: list[subprocess.Popen[bytes]] = []
+
+    class Process(subprocess.Popen[bytes]):
+        def __init__(self, command: list[str]) -> None:
+            super().__init__([*command[:2], SLEEPING])
+            started.append(self)
+
+        def wait(self, timeout: float | None = None) -> int:
+            if not waits:
+                waits.append(self)
+                raise KeyboardInterrupt
+            return super().wait(timeout)
+
+    monkeypatch.setattr("slam.warmup.is_compiled", lambda: False)
+    monkeypatch.setattr("slam.warmup.subprocess", SimpleNamespace(Popen=Process))
+    with pytest.raises(KeyboardInterrupt):
+        slam.warm_up()
+    assert [process.returncode for process in started] == [-signal.SIGKILL] * 2
