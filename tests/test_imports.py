@@ -25,8 +25,8 @@ CONFINED = {
 LAYERS = (
     "errors", "extras", "formatting", "memory", "config", "geometry", "graph", "odometry", "mapping", "matching",
     "preprocessing", "localisation", "loop_closure", "recognition", "checks", "events", "estimation", "measuring",
-    "run_statistics", "io", "run_snapshot", "run_start", "run_session", "publisher", "scan_report",
-    "localisation_report", "run_end",
+    "run_statistics", "io", "run_snapshot", "run_start", "run_session", "odometry_deviations", "publisher",
+    "scan_report", "localisation_report", "run_end",
     "pose_extrapolation", "pipeline", "optimisation", "warmup", "offline", "evaluation",
     "visualisation", "mapped_recording", "ros", "cli",
 )  # fmt: skip

@@ -47,6 +47,18 @@ to = [0, 4]
 from = [0, 4]
 to = [0, 0]
 """
+HALL = """\
+title = "a furnished hall, which is not equal to itself turned by 180 degrees: drives can be recognised in it"
+speed = 0.9
+path = [[1.5, 1.5], [3, 3.6], [4.5, 1.8], [6, 3.9], [7.5, 1.8], [6, 4.5], [3, 4.5], [1.5, 1.5]]
+""" + "".join(
+    f"\n[[walls]]\nfrom = {list(start)}\nto = {list(end)}\n"
+    for start, end in (
+        ((0, 0), (9, 0)), ((9, 0), (9, 6)), ((9, 6), (0, 6)), ((0, 6), (0, 0)),
+        ((8.1, 6), (8.1, 4.3)), ((0, 1.4), (0.9, 0.4)), ((0, 3.3), (1.1, 3.3)),
+        ((4.3, 6), (4.3, 5.3)), ((5.1, 0), (5.8, 0.9)), ((9, 2.9), (8.3, 3.5)),
+    )
+)  # fmt: skip
 GRAPH = """\
 VERTEX_SE2 0 0 0 0
 VERTEX_SE2 1 1 0 0
@@ -117,10 +129,10 @@ def given(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-def fill(directory: Path) -> None:
-    """Write the presupposed files; the recording is both `drive.mcap` and `intel.clf`."""
+def fill(directory: Path, room: str = WORLD) -> None:
+    """Write the presupposed files; the recording, a drive through a `room`, is both `drive.mcap` and `intel.clf`."""
     world = directory / "room.toml"
-    world.write_text(WORLD, encoding="ascii")
+    world.write_text(room, encoding="ascii")
     for words in (
         f"simulate {world} {directory}/drive.mcap",
         f"run {directory}/drive.mcap --out {directory}/map --no-review",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from drivers.devices.device_spec import parse_devices
 from slam.cli.app import app
 
 from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions
-from .conftest import Reader, fill, simulations_of
+from .conftest import HALL, Reader, fill, simulations_of
 
 PLACEHOLDERS = {"FILE", "FORMAT", "WORLD", "SESSION", "DIR", "RECORDING", "GRAPH"}
 OTHER_PROGRAMS = {
@@ -31,6 +32,8 @@ SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
 """Smaller values for options that determine the duration of benchmarks."""
 OF_SEVERAL_DRIVES = ("docs/changes.md", "docs/merge.md")
 """Pages with blocks that need recordings of two drives through one building."""
+LONGER = 24.0
+"""Duration of drives that are to be recognised in maps of each other, seconds."""
 command_line: Any = cache(get_command)
 MENTIONS = mentions()
 WITH_BLOCKS = sorted({block.page for block in blocks()})
@@ -116,6 +119,25 @@ def test_slow_blocks_run(block: Block, tmp_path: Path, monkeypatch: pytest.Monke
     for words in block.commands():
         shorter = [SHORTER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
         Reader(tmp_path).run(shorter)
+
+
+def test_commands_of_the_readme_with_several_drives_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run them with drives through one hall; `wclm batch`, which starts processes, has its own tests."""
+    monkeypatch.chdir(tmp_path)
+    (block,) = (block for block in blocks() if block.page == "README.md" and block.needs == "drives")
+    with simulations_of(LONGER):
+        fill(tmp_path, HALL)
+        reader = Reader(tmp_path)
+        for line in (
+            "simulate room.toml tuesday/a.mcap --seed 2",
+            "run tuesday/a.mcap --out maps/b --no-review",
+            "map map --format dxf --out plan.dxf",
+        ):
+            reader.run(["wclm", *line.split()])
+        shutil.copytree("map", "maps/a")
+        for words in block.commands():
+            if words[1] != "batch":
+                reader.run(words, statuses=(0, 1) if words[1] == "diff" else (0,))
 
 
 @pytest.mark.slow

@@ -31,7 +31,6 @@ DISTINCT_COLOURS: tuple[Colour, ...] = (
 
 WALL_NEW: Colour = (165, 165, 172)
 WALL_SIGMA: Colour = (105, 105, 115)
-CORNER_SIGMA: Colour = (106, 100, 24)  # dim, as an ellipse may be as long as a wall
 BACKDROP: Colour = (117, 101, 136)  # scans of past keyframes: dim lavender
 FREE: Colour = (44, 46, 60)  # cells of the occupancy grid, dim as the map is drawn over them
 OCCUPIED: Colour = (96, 98, 112)

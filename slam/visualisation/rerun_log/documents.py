@@ -19,7 +19,7 @@ SUMMARY_PENDING = "The run has not ended, or it ended without a summary."
 # Names and meanings of the colours in colours.py.
 _LEGEND: tuple[tuple[str, str], ...] = (
     ("white", "wall of the map; dim: observed by fewer than 3 keyframes; outline in the close-up: 3 sigma"),
-    ("yellow", "corner of the map; dim ellipse: 3 sigma, left out if it is longer than 0.75 m"),
+    ("yellow", "corner of the map; ellipse: 3 sigma, left out if it is longer than 0.75 m"),
     ("light blue", "robot, path and keyframes, darker for less certain ones (5 cm, 20 cm); ellipse: 3 sigma"),
     ("grey", "path from odometry alone, from the same start; rejected loop; feature outside the gate, not used"),
     ("green", "true path if known, from the same start"),

@@ -30,7 +30,7 @@ class MapLayer:
         bands = rr.LineStrips3D.from_fields(radii=_BAND_WIDTH, colors=colours.WALL_SIGMA)
         corners = rr.Points3D.from_fields(radii=_CORNER_SIZE, colors=colours.CORNER, show_labels=False)
         spread = rr.Ellipsoids3D.from_fields(
-            colors=colours.CORNER_SIGMA, line_radii=_OUTLINE, fill_mode=FILLED, show_labels=False
+            colors=colours.CORNER, line_radii=_OUTLINE, fill_mode=FILLED, show_labels=False
         )
         for name, style in (("walls", walls), ("wall_sigma", bands), ("corners", corners), ("corner_sigma", spread)):
             writer.log_static(f"world/map/{name}", style)
