@@ -184,8 +184,8 @@ def test_an_old_log_is_shown_with_the_current_layout(tmp_path: Path) -> None:
         for column in batch.schema.names:
             if column.endswith(":display_name"):
                 names |= {text for row in batch.column(column).to_pylist() for text in row or []}
-    assert {"Map", "Before / after", "Last loop"} <= names
-    assert "old" not in names
+    assert "Map" in names
+    assert not {"old", "Before / after", "Last loop"} & names  # nothing in it is of a loop
 
 
 def test_a_truncated_log_opens_up_to_its_end(
