@@ -13,6 +13,7 @@ from ..mapping.keyframes import KeyframeObservations
 from ..matching.distance_field import DistanceField
 from ..matching.offset_tiles import MAX_DISTANCE
 from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, Prediction, match_points
+from ..recognition.loop_evidence import check_evidence
 from .slam_state import SlamState
 
 # Metres and radians: standard deviations of the pose of a new scan relative to an old one up to which it is matched to
@@ -35,13 +36,13 @@ def _search_connected(state: SlamState) -> LoopDecision | None:
     decision = state.loops.search(mapper, field, among)
     if state.loops.correction_likely:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
-    if decision is not None:
-        decision = state.loop_evidence.test(mapper, field, decision, among)
-        if decision.status is not LoopStatus.REJECTED:
-            return decision
+    if decision is None:
+        return None
+    decision = check_evidence(mapper, field, decision, among)
+    if decision.status is LoopStatus.REJECTED:
         state.loops.note_rejection(decision)
-    decision = state.loop_evidence.search(mapper, field, state.loops, among)
-    return None if decision is None else state.loops.number(decision)
+        return None
+    return decision
 
 
 def _search_join(state: SlamState) -> LoopDecision | None:
@@ -61,7 +62,6 @@ def close_loop(state: SlamState, observations: KeyframeObservations, decision: L
     if decision.status is LoopStatus.ACCEPTED:
         state.mapper.gauge.hold(state.mapper)
         state.loops.clear()
-        state.loop_evidence.clear()
         state.joins.clear()
         state.local_field.link(decision.old, decision.keyframe)
         for match in decision.matches:

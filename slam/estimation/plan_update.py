@@ -11,7 +11,6 @@ def update_by_plan(state: SlamState, observations: KeyframeObservations) -> bool
     if state.plan is None or not state.plan.update(state.mapper, state.local_field):
         return False
     state.loops.clear()
-    state.loop_evidence.clear()
     state.joins.clear()
     state.mapper.free_space_evidence.clear()
     state.local_map = state.mapper.local_map(observations)

@@ -33,7 +33,6 @@ from ..odometry.predicted_motion import motion_model
 from ..preprocessing.preprocessor import ProcessedScan
 from ..recognition.join_search import JoinSearch
 from ..recognition.location import LOST, Expectation
-from ..recognition.loop_evidence import LoopEvidence
 from .plan_prior import PlanPrior
 
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
@@ -88,7 +87,6 @@ class SlamState:
     odometry_model       learned errors of the odometry
     tracker              last pose fix and the other state of tracking
     loops                search for loop closures
-    loop_evidence        decision on loops where places look alike
     joins                search for the place of a part of the map that is not connected
     keyframe_stamps      seconds
     driven               driving so far in spacings of keyframes, see `spacings`, also where places were familiar
@@ -113,7 +111,6 @@ class SlamState:
         self.trajectory = TrajectoryBuilder()
         self.tracker = Tracker(self.odometry_model)
         self.loops = loops or LoopAgreement()
-        self.loop_evidence = LoopEvidence()
         self.joins = JoinSearch()
         self.keyframe_stamps: list[float] = []
         self.driven = 0.0
@@ -289,7 +286,6 @@ class SlamState:
         self.local_map = empty_local_map()
         self.local_field.begin_part()
         self.loops.clear()
-        self.loop_evidence.clear()
         self.joins = JoinSearch(expected)
 
     def spacings(self, start: se2.Pose, end: se2.Pose) -> float:
@@ -327,7 +323,6 @@ class SlamState:
         self.mapper, self.trajectory, self.pose = mapper, trajectory, fix.pose
         self.tracker.move_to(fix.pose, fix.odometry)
         self.loops.clear()
-        self.loop_evidence.clear()
         self._rebuild_surroundings(scans, field)
 
     def update_local_field(self) -> None:

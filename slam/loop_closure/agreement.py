@@ -106,21 +106,7 @@ class LoopAgreement:
         contradicted = self._last_search in self._estimate.contradictions[-1:]
         return contradicted and any(h.support[-1].travelled == self._last_search for h in self._hypotheses)
 
-    @property
-    def undecided(self) -> LoopHypothesis | None:
-        """Hypothesis with most support of those that the last look and an earlier one support; None without one."""
-        supported = [h for h in self._hypotheses if h.support[-1].travelled == self._last_search]
-        strongest = max(supported, key=lambda h: len(h.support), default=None)
-        return strongest if strongest is not None and len(strongest.support) >= MIN_REPORTED_SUPPORT else None
-
-    def doubted_since(self, hypothesis: LoopHypothesis) -> float:
-        """Return the metres driven up to the first look that supports a hypothesis or contradicts the estimate.
-
-        Those of the submap of that look are not among them.
-        """
-        return min([hypothesis.support[0].travelled, *self._estimate.contradictions]) - SUBMAP_LENGTH
-
-    def is_excluded(self, look: Look, motion: se2.Pose) -> bool:
+    def _is_excluded(self, look: Look, motion: se2.Pose) -> bool:
         """Return True if a motion in the map is that of a retracted closure."""
         return not all(differ(look, motion, retracted) for retracted in self._retracted)
 
@@ -183,7 +169,7 @@ class LoopAgreement:
             return None
         self._vote(look, tested, found, local_field)
         decision = self._accepted(look, places)
-        if decision is None or self.is_excluded(look, decision.correction):
+        if decision is None or self._is_excluded(look, decision.correction):
             self._note_rejections(look)
             return None
         return self.number(decision)
@@ -297,6 +283,7 @@ class LoopAgreement:
     ) -> LoopDecision:
         """Return the decision to close the loop of a hypothesis."""
         count, first = len(hypothesis.support), hypothesis.support[0].travelled
+        doubted = min([first, *self._estimate.contradictions])
         return confirm(
             look,
             hypothesis,
@@ -304,7 +291,7 @@ class LoopAgreement:
             rival_support=max((rival.support_since(first) for rival in rivals), default=0),
             contradictions=hypothesis.contradictions_since(first),
             checks=checks,
-            since=look.first_of_part if self._joins else look.keyframe_at(self.doubted_since(hypothesis)),
+            since=look.first_of_part if self._joins else look.keyframe_at(doubted - SUBMAP_LENGTH),
             joins=self._joins,
         )
 
@@ -317,5 +304,5 @@ class LoopAgreement:
             consistent, checks = self._judged(hypothesis, look)
             decision = self._decide(consistent, rivals, look, checks)
             equal = sum(not prevails(consistent, rival) for rival in rivals)
-            was_retracted = self.is_excluded(look, hypothesis.motion)
+            was_retracted = self._is_excluded(look, hypothesis.motion)
             hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)
