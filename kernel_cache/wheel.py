@@ -19,13 +19,14 @@ from typing import Any
 
 import numba
 from llvmlite import binding
-from numba import config
 
 FOLDER = Path(__file__).parent / "compiled"
 """Folder of the compiled functions in an installed wheel; it does not exist in the repository."""
 
 TARGET = "target.json"
 """File in it that states what they were compiled with and for."""
+
+_options: Any = numba.config  # its attributes are set when it is imported
 
 _prepared: list[Any] = []
 """All functions of this process that may be loaded from, or written to, a wheel."""
@@ -51,10 +52,10 @@ def wheel_has(function: Callable[..., object]) -> bool:
 
 
 def write_wheel_cache(folder: Path, features: Iterable[str]) -> int:
-    """Write all functions that this process has compiled or loaded to a folder, which becomes FOLDER of a wheel.
+    """Copy all functions of this process from numba's cache to a folder, which becomes FOLDER of a wheel.
 
-    They must have been compiled for a processor that has `features` (names of LLVM) and no others: numba has to run
-    with NUMBA_CPU_NAME and NUMBA_CPU_FEATURES. Returns how many there are.
+    The cache must have been empty, and numba must run with NUMBA_CPU_NAME and NUMBA_CPU_FEATURES, for a processor that
+    has `features` (names of LLVM) and no others. Returns how many functions there are.
     """
     from .wheel_cache import write_functions
 
@@ -71,15 +72,15 @@ def _suits_this_computer() -> bool:
         target = json.loads((FOLDER / TARGET).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return False
-    if target["numba"] != numba.__version__ or config.CPU_NAME is not None:
+    if target["numba"] != numba.__version__ or _options.CPU_NAME is not None:
         return False  # or the user wants functions for another processor
     return set(target["features"]) <= _host_features()
 
 
 def _host_features() -> set[str]:
     """Return the features of the processor, without those that the user has switched off in numba."""
-    if config.CPU_FEATURES is not None:
-        return {feature[1:] for feature in config.CPU_FEATURES.split(",") if feature.startswith("+")}
+    if _options.CPU_FEATURES is not None:
+        return {feature[1:] for feature in _options.CPU_FEATURES.split(",") if feature.startswith("+")}
     try:
         return {feature for feature, present in binding.get_host_cpu_features().items() if present}
     except RuntimeError:  # LLVM does not know this processor

@@ -7,16 +7,17 @@ numba is of the version that compiled its functions.
 from __future__ import annotations
 
 import inspect
+import shutil
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba.core.caching import FunctionCache, IndexDataCacheFile, _Cache
+from numba.core.caching import IndexDataCacheFile, _Cache
 
 from .sources import digest_of, path_in_package
 
 
-class WheelCache(_Cache):  # type: ignore[misc]  # numba is not typed
+class WheelCache(_Cache):
     """Numba's cache of a function, preceded by the functions in the folder of a wheel, which are only read."""
 
     def __init__(self, dispatcher: Any, folder: Path) -> None:
@@ -26,7 +27,7 @@ class WheelCache(_Cache):  # type: ignore[misc]  # numba is not typed
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled function for the given types, from the wheel or else from numba's cache, or None."""
         target_context.refresh()
-        data = self._delivered.load(_portable_key(self._cache, sig, target_context.codegen()))
+        data = self._delivered.load(_without_processor(self._cache._index_key(sig, target_context.codegen())))
         if data is None:
             return self._cache.load_overload(sig, target_context)
         return self._cache._impl.rebuild(target_context, data)
@@ -58,15 +59,17 @@ class WheelCache(_Cache):  # type: ignore[misc]  # numba is not typed
 
 
 def write_functions(dispatchers: list[Any], folder: Path) -> int:
-    """Write what numba's dispatchers have compiled or loaded to the folder of a wheel; return how many there are."""
+    """Copy what numba's cache has of the dispatchers to the folder of a wheel; return how many functions these are."""
     count = 0
     for dispatcher in dispatchers:
-        cache, files = dispatcher._cache, _files_of(dispatcher, folder)
-        for signature, result in dispatcher.overloads.items():
-            if cache._impl.check_cachable(result):
-                Path(files._cache_path).mkdir(parents=True, exist_ok=True)
-                files.save(_portable_key(cache, signature, result.codegen), cache._impl.reduce(result))
-                count += 1
+        source, target = dispatcher._cache._cache_file, _files_of(dispatcher, folder)
+        names = {_without_processor(key): name for key, name in source._load_index().items()}
+        if names:
+            Path(target._cache_path).mkdir(parents=True, exist_ok=True)
+            target._save_index(names)
+        for name in names.values():
+            shutil.copyfile(source._data_path(name), target._data_path(name))
+        count += len(names)
     return count
 
 
@@ -82,7 +85,7 @@ def _digest_of(source: Path) -> str:
     return digest_of(source)
 
 
-def _portable_key(cache: FunctionCache, signature: Any, codegen: Any) -> tuple[Any, Any]:
-    """Return numba's key of a compiled function without the processor."""
-    types, _, code = cache._index_key(signature, codegen)
+def _without_processor(key: tuple[Any, Any, Any]) -> tuple[Any, Any]:
+    """Return numba's key of a compiled function (types, processor, code) without the processor."""
+    types, _, code = key
     return types, code
