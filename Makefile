@@ -11,7 +11,7 @@ SIZE ?=
 # Python stores what it compiles, whatever the environment says: the tests start some hundred processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help env demo test test-slow coverage fuzz endurance gate lint format docs reference gallery lock clean
+.PHONY: help env wheel demo test test-slow coverage fuzz endurance gate lint format docs reference gallery lock clean
 
 help:
 	@echo "make demo        simulate a robot in a museum, map it, write demo/, open the viewer on a desktop"
@@ -27,6 +27,7 @@ help:
 	@echo "make reference   write the documentation of commands and settings from the code"
 	@echo "make gallery     draw the pictures of the documentation (simulated drives, recordings in \$$WCLM_DATASETS)"
 	@echo "make env         create .venv only; then run .venv/bin/wclm --help"
+	@echo "make wheel       build a wheel for this platform with compiled functions, into dist/"
 	@echo "make lock        update requirements.lock (needs uv)"
 
 env: $(READY)
@@ -80,6 +81,10 @@ reference: $(READY)
 
 gallery: $(READY)
 	$(BIN)/wclm demo --gallery docs/pictures
+
+# Not in an isolated environment: functions are compiled with the project's own libraries.
+wheel: $(READY)
+	WCLM_COMPILED=1 $(BIN)/python -m hatchling build -t wheel
 
 lock:
 	uv pip compile pyproject.toml --all-extras --group dev --universal --python-version 3.11 --generate-hashes --no-annotate --no-header --no-strip-extras --output-file requirements.lock

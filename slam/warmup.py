@@ -1,8 +1,8 @@
 """Compilation of all numba functions before a run, so that no scan is delayed by it.
 
-Compiled functions are cached on disk: only the first run after an installation or a change compiles, later runs load
-them. Without a warm-up only the first scans take longer. The first compilation runs in two processes, each with a part
-of the functions; what one of them has compiled, the other one loads.
+Compiled functions are in the wheel or cached on disk: only the first run after an installation from source or a change
+compiles, others load them. Without a warm-up only the first scans take longer. The first compilation runs in two
+processes, each with a part of the functions; what one of them has compiled, the other one loads.
 """
 
 from __future__ import annotations

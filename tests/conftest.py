@@ -8,8 +8,8 @@ import pytest
 from hypothesis import settings
 from typer.main import get_command
 
-from drivers.compiled import is_cached
 from features.kernel import extract_features
+from kernel_cache import is_cached
 from slam.cli import COLLECTION_THRESHOLD
 
 gc.set_threshold(COLLECTION_THRESHOLD)  # as on the command line: a tenth of the time, with all modules and tests loaded

@@ -35,7 +35,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_wheel_contains_types_worlds_and_page_parts(wheel: Path) -> None:
     names = set(zipfile.ZipFile(wheel).namelist())
-    assert {f"{package}/py.typed" for package in ("slam", "features", "drivers")} <= names
+    assert {f"{package}/py.typed" for package in ("slam", "features", "drivers", "kernel_cache")} <= names
     worlds = {world.name for world in (ROOT / "datasets" / "worlds").glob("*.toml")}
     assert worlds == {Path(name).name for name in names if name.startswith("drivers/simulation/worlds/")}
     page = "slam/visualisation/report_page/"

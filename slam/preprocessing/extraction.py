@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from drivers.compiled import is_cached
 from features import Extractor, LearnedNoise, Noise
 from features.kernel import extract_features
+from kernel_cache import is_cached
 
 from ..config import FeatureConfig, LidarConfig
 

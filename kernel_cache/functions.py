@@ -1,0 +1,38 @@
+"""Compile functions with numba, and cache the result on disk as long as no source changes on which it depends."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from numba import njit
+
+from .sources import discard_stale
+from .wheel import prepend_wheel_cache, wheel_has
+
+Arguments = ParamSpec("Arguments")
+Result = TypeVar("Result")
+
+
+def compile_cached(function: Callable[Arguments, Result], **options: Any) -> Callable[Arguments, Result]:
+    """Return a function that is compiled at its first call with arguments of new types, if it cannot be loaded.
+
+    It is loaded from the installed wheel if that has been built with compiled functions that suit this computer
+    (`wheel.py`), else from numba's cache on disk. `options` are those of `numba.njit`.
+    """
+    dispatcher: Callable[Arguments, Result] = njit(cache=True, **options)(function)
+    stats = getattr(dispatcher, "stats", None)  # None if NUMBA_DISABLE_JIT is set
+    if stats is not None:
+        discard_stale(Path(inspect.getfile(function)), Path(stats.cache_path))
+        prepend_wheel_cache(dispatcher)
+    return dispatcher
+
+
+def is_cached(function: Callable[..., object]) -> bool:
+    """Return True if a function need not be compiled any more: it can be loaded, for any types of arguments."""
+    stats = getattr(function, "stats", None)  # None if NUMBA_DISABLE_JIT is set
+    module = Path(inspect.getfile(inspect.unwrap(function))).stem
+    on_disk = stats is None or any(Path(stats.cache_path).glob(f"{module}.{function.__name__}-*.nbi"))
+    return on_disk or wheel_has(function)
