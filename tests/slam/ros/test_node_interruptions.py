@@ -20,6 +20,7 @@ from slam.io.sessions import read_session
 from ...memory_link import MemoryLink
 from .test_node import (
     MOUNT,
+    PATIENCE,
     START,
     Published,
     record_office,
@@ -160,7 +161,7 @@ def test_a_lidar_upside_down_is_taken_from_its_transform(
 
 
 def test_a_map_that_stays_the_same_is_sent_again(robot: list[Published], tmp_path: Path) -> None:
-    """The node has an interval of 0.2 s; a robot that stands adds nothing to the map."""
+    """A robot that stands adds nothing to the map; scans that follow the first one that was sent send it again."""
     first = [item for item in robot if item.arrival < START + 1.0]
     scan = next(item for item in reversed(first) if item.topic == "/scan")
     tf = next(item for item in reversed(first) if item.topic == "/tf")
@@ -168,7 +169,14 @@ def test_a_map_that_stays_the_same_is_sent_again(robot: list[Published], tmp_pat
     standing = [*first]
     for step in range(1, 40):
         standing += [later(tf, 0.1 * step), later(scan, 0.1 * step)]
-    run_node(link, standing, tmp_path / "out", {}, options=["-p", "map_update_interval:=0.01", "--log-level", "info"])
+
+    def wait_for_map() -> None:
+        with link.changed:
+            assert link.changed.wait_for(lambda: link.sent["/map"], PATIENCE)
+
+    calls = {sum(item.topic == "/scan" for item in first) + 20: wait_for_map}
+    options = ["-p", "map_update_interval:=0.001", "--log-level", "info"]
+    run_node(link, standing, tmp_path / "out", calls, options=options)
     grids = link.sent["/map"]
     assert len(grids) > len(set(grids)) > 0
     assert decode(grids[-1], GRID, "cdr").info.width > 0
