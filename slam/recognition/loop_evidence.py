@@ -17,6 +17,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
+from ..loop_closure.agreement import DOUBTED_SCALE
 from ..loop_closure.criteria import differ
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.look import SUBMAP_HALF_WIDTH, SUBMAP_LENGTH, Look, Submaps
@@ -35,7 +36,10 @@ def check_evidence(
 
     among  (k,) keyframes of the connected part of the map
     """
-    look, place, poses = Look(mapper, local_field, Submaps(), among), decision.matches[-1].old, mapper.keyframe_poses
+    place, poses = decision.matches[-1].old, mapper.keyframe_poses
+    look = Look(mapper, local_field, Submaps(), among)
+    if not look.admits(place, look.relative(place, decision.correction)):  # the looks have doubted the estimate
+        look = Look(mapper, local_field, Submaps(), among, deviation_scale=DOUBTED_SCALE)
     first = look.keyframe_at(decision.matches[0].travelled - SUBMAP_LENGTH)
     reach = _distances(poses[first:], poses[first]).max() + look.search_radius(place) + SUBMAP_HALF_WIDTH
     travelled = np.asarray(mapper.travelled)
