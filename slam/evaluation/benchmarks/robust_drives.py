@@ -14,7 +14,7 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulatio
 
 from ...errors import MapError
 from .scenarios.buildings import random_building, turning_path, wide_hall
-from .scenarios.log_variants import LogVariant, drift, jitter, reverse_times, stamp_late, thin
+from .scenarios.log_variants import LogVariant, drift, jitter, reverse_times, shorten, stamp_late, thin
 from .scenarios.recorded import recorded
 from .scenarios.strangers import stranger
 from .scenarios.world_variants import add_crowd
@@ -59,6 +59,7 @@ VARIANTS: dict[str, DriveVariant] = {
     "drift": DriveVariant(drift(), drawn=True),
     "backwards-drift": DriveVariant(drift(), backwards=True, drawn=True),
     "jitter": DriveVariant(jitter(), drawn=True),
+    "short-range": DriveVariant(shorten()),
     "thinned": DriveVariant(thin()),
 }
 """Variants of recorded drives by name."""

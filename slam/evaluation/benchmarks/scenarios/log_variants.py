@@ -23,6 +23,8 @@ NO_RETURNS = 51.05, 51.16
 DRIFT = 0.04, 0.05, 0.011
 """Standard deviations of the systematic errors of odometry: relative error of the distance and of the turn, and radians
 per metre; those of the simulator's bad wheels."""
+SHORT_REACH = 5.0
+"""Metres that the lidar of a robot vacuum cleaner reaches."""
 MIN_PERIOD = 1e-4
 """Seconds between two readings that are stamped when they arrive: they arrive one after the other."""
 JITTER = 1e-6
@@ -54,6 +56,13 @@ def crop(half_angle: float) -> LogVariant:
         )
 
     return _in_time_order(_of_scans(cropped))
+
+
+def shorten(reach: float = SHORT_REACH) -> LogVariant:
+    """Replace the ranges beyond `reach` metres by no-returns, as of a lidar that does not reach farther."""
+    return _of_scans(
+        lambda scan, _: replace(scan, ranges=np.where(scan.ranges < reach, scan.ranges, np.nan), range_max=reach)
+    )
 
 
 def quantise(step: float) -> LogVariant:
