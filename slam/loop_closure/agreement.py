@@ -9,8 +9,7 @@ the old map must be that of the estimate. The estimate itself is the first hypot
 returned, and nothing is corrected.
 
 The uncertainty of the estimate may be wrong itself. So if no place is recognised within it, and none was for some time,
-places are searched within a multiple of it. To close a loop with one of them, looks must agree over a multiple of the
-distance.
+places are searched where the robot may be if its errors are the same all along the drive; see `Look.error_scale`.
 
 Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
 where odometry has put them, and a pose that fits there is one of the matches.
@@ -41,9 +40,6 @@ SEARCH_INTERVAL = 2.0
 # Share of the best match's quality from which another one at the same look is supported too.
 # Origin: chosen; not measured.
 RIVAL_QUALITY = 0.9
-# Factor of the estimate's standard deviations if no place is recognised within them. Origin: chosen, real lidars, walls
-# and wheels have errors that no model contains: in a corridor of 1.9 km deviations were 5 standard deviations.
-DOUBTED_SCALE = 2.0
 # Places beyond the estimate's uncertainty that are searched at a look, if those within it take all the time.
 # Origin: chosen, within MEMORY 40 of them are searched.
 MIN_DOUBTED_PLACES = 2
@@ -161,7 +157,7 @@ class LoopAgreement:
         tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
         found = [] if self._is_settled(look, places, tested) else self._find(look, places)
         if not (self._joins or found or self._returns or is_recognised(look, tested)):
-            look = Look(mapper, local_field, self._submaps, among, deviation_scale=DOUBTED_SCALE)
+            look = Look(mapper, local_field, self._submaps, among, doubted=True)
             left = max(MIN_DOUBTED_PLACES, MAX_PLACES - len(places))
             places = look.possible_places()
             found = self._find(look, places, left)

@@ -6,17 +6,16 @@ import numpy as np
 
 from drivers import se2
 
-from ..matching.point_matcher import SEARCH_FIT
 from .decision import Check, LoopDecision
 from .look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, Look
 from .loop_hypothesis import LoopHypothesis
 from .loop_status import LoopStatus
-from .submap_search import SubmapMatch, are_distinct
+from .submap_search import MIN_SCREENING_FIT, SubmapMatch, are_distinct
 
-# Least fit of a match, and least share of the submap in space that the old place has seen.
-# Origin: chosen, not measured.
-MIN_LOOP_FIT = 0.75
-MIN_KNOWN = 0.4  # Origin: as MIN_LOOP_FIT.
+# Least fit of a match. Origin: definition, with less it is less likely than a place that was not seen.
+MIN_LOOP_FIT = MIN_SCREENING_FIT
+# Least share of the submap in space that the old place has seen. Origin: chosen, not measured.
+MIN_KNOWN = 0.4
 # Metres: largest standard deviation of a match in any direction; along a bare corridor it is larger.
 # Origin: definition, as MAX_LINK_SIGMA.
 MAX_MATCH_SIGMA = 0.17
@@ -46,15 +45,14 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
     """Check that enough looks support a hypothesis, and that the estimate's uncertainty admits it.
 
     A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
-    must extend over this distance. If the robot may be off by a multiple of the estimate's standard deviations, they
-    must extend over the square of it as many metres: minus the logarithm of the probability rises likewise.
+    must extend over this distance.
 
     look      the last one
     against   number of looks that contradict the hypothesis
     corrects  true if it would correct the estimate; false if it is that the estimate is right
     """
-    count, old, scale = len(hypothesis.support), hypothesis.support[-1].old, look.deviation_scale
-    span = scale**2 * max(SUBMAP_LENGTH, look.search_radius(old) / scale)
+    count, old = len(hypothesis.support), hypothesis.support[-1].old
+    span = max(SUBMAP_LENGTH, look.search_radius(old))
     checks = [
         Check("support", count, MIN_SUPPORT, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),
@@ -62,8 +60,6 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
     ]
     if corrects:
         deviations = np.sqrt(look.squared_distance(old, look.relative(old, hypothesis.motion)))
-        # So well must a tracked scan fit: a place that fits worse may be a similar one.
-        checks.append(Check("fit", hypothesis.mean_fit, SEARCH_FIT, at_least=True))
         checks.append(Check("mahalanobis", float(deviations), float(np.sqrt(MAX_SQUARED_DISTANCE)), at_least=False))
     return tuple(checks)
 

@@ -17,6 +17,7 @@ from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import REFERENCE_DISTANCE, LocalField
 from ..mapping.mapper import Mapper
+from ..matching.distance_field import FIELD_HALF_WIDTH
 from .decision import LoopMatch
 from .loop_hypothesis import OldPlace
 from .submap_search import Submap, SubmapMatch, build_submap, improve, search_submap
@@ -29,8 +30,6 @@ SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
 # Submaps of old places that are kept, and places that are searched at a look. Origin: chosen, for memory and time.
 MAX_SUBMAPS = 16
 MAX_PLACES = 8  # Origin: as MAX_SUBMAPS.
-# Metres from the middle of a submap to the sides of its field. Origin: chosen, a usual range indoors; not measured.
-SUBMAP_HALF_WIDTH = 15.0
 # Largest squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
 MAX_SQUARED_DISTANCE = 16.3
 # Standard deviations of the estimate within which places are searched. Origin: chosen, 99.7 % of a normal distribution.
@@ -79,7 +78,7 @@ class Look:
     apart     true if they are in parts of the map that are not connected with the keyframe; else only those of earlier
               passes are old places
     keyframe  the other one
-    deviation_scale  by which the standard deviations of the estimate are multiplied, if they may be wrong
+    doubted   true if the errors of the estimate may be correlated along the drive, see `error_scale`
     """
 
     def __init__(
@@ -91,10 +90,10 @@ class Look:
         *,
         apart: bool = False,
         keyframe: int | None = None,
-        deviation_scale: float = 1.0,
+        doubted: bool = False,
     ) -> None:
         self._mapper, self._field, self._submaps = mapper, local_field, submaps
-        self.deviation_scale = deviation_scale
+        self._doubted = doubted
         self._travelled = np.asarray(mapper.travelled)
         self._ways = local_field.ways(mapper.travelled)
         self._covariances: dict[int, Floats] = {}
@@ -151,9 +150,10 @@ class Look:
         """Find the covariances of the last keyframe's pose relative to some old ones."""
         covariances, unknown = self._mapper.covariances, list[int]()
         for old in places:
-            bound = self.deviation_scale**2 * covariances.relative_bound(old, self.last, stored=True)
+            scale = self.error_scale(old, self.last) ** 2
+            bound = scale * covariances.relative_bound(old, self.last, stored=True)
             if not _is_minor(bound) and len(places) < MIN_TOGETHER:
-                bound = self.deviation_scale**2 * covariances.relative_bound(old, self.last, stored=False)
+                bound = scale * covariances.relative_bound(old, self.last, stored=False)
             if _is_minor(bound):
                 self._covariances[old] = bound + np.diag(UNMODELLED_SIGMAS**2)
             else:
@@ -162,7 +162,19 @@ class Look:
         found = covariances.relative_to_all(unknown, self.last) if together else ()
         for row, old in enumerate(unknown):
             estimated = found[row] if together else covariances.relative(old, self.last)
-            self._covariances[old] = self.deviation_scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
+            scale = self.error_scale(old, self.last)
+            self._covariances[old] = scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
+
+    def error_scale(self, keyframe: int, other: int) -> float:
+        """Return the factor of the standard deviations of the motion between two keyframes; 1 unless it is doubted.
+
+        The errors of the n submaps between them are independent by the estimate, which adds their variances. If an
+        error is the same in all of them, as that of a lidar, a wheel or a clock that no model contains, their standard
+        deviations add instead: the sum is up to sqrt(n) times larger.
+        """
+        if not self._doubted:
+            return 1.0
+        return float(np.sqrt(max(1.0, abs(self._travelled[other] - self._travelled[keyframe]) / SUBMAP_LENGTH)))
 
     def is_certain(self, old: int) -> bool:
         """Return True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
@@ -174,8 +186,8 @@ class Look:
         Places closer together than REFERENCE_DISTANCE are represented by the oldest of them.
         """
         poses, spread = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
-        deviations = self.deviation_scale * (spread[self._old] + self._spread(spread))
-        bound = SEARCH_DEVIATIONS * (deviations + UNMODELLED_SIGMAS[0])
+        scales = np.array([self.error_scale(old, self.last) for old in self._old.tolist()])
+        bound = SEARCH_DEVIATIONS * (scales * (spread[self._old] + self._spread(spread)) + UNMODELLED_SIGMAS[0])
         chosen = list[int]()
         for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
             if np.hypot(*(poses[chosen, :2] - poses[keyframe, :2]).T).min(initial=np.inf) > REFERENCE_DISTANCE:
@@ -241,7 +253,8 @@ class Look:
         """Return True if the motion from one match to another over the old map agrees with the estimate."""
         poses = self._mapper.keyframe_poses
         over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
-        covariance = self.deviation_scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
+        scale = self.error_scale(match.keyframe, other.keyframe)
+        covariance = scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
         covariance += np.diag(UNMODELLED_SIGMAS**2) + covariance_after(match.covariance, over_old) + other.covariance
         estimated = se2.between(poses[match.keyframe], poses[other.keyframe])
         return _squared(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
@@ -285,7 +298,7 @@ def _is_minor(covariance: Floats) -> bool:
 
 def _build(place: OldPlace, local_field: LocalField) -> Submap:
     """Build the submap of a place."""
-    return build_submap(place.poses, local_field.points_of(place.keyframes), SUBMAP_HALF_WIDTH)
+    return build_submap(place.poses, local_field.points_of(place.keyframes), FIELD_HALF_WIDTH)
 
 
 def _position_sigmas(covariances: Floats) -> Floats:

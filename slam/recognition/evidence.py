@@ -8,8 +8,8 @@ $r_u = h\,r + (1 - h)\,c_u$. The evidence is the logarithm of the likelihood rat
     log mean_h prod_u r_u(h)^q_u (1 - r_u(h))^(1 - q_u)  -  max_{b <= 0} log prod_u c_u(b)^q_u (1 - c_u(b))^(1 - q_u),
 
 with $\operatorname{logit} c_u(b) = \operatorname{logit} c_u + b$: a place may look less alike than others, not more.
-$c_u$ is the share with which the cell fits at all other placements that were found, with Laplace's rule of succession.
-So a bare wall that lies on a wall at every placement is no evidence, nor is a door among equal doors.
+$c_u$ is the share with which the cell fits at all other placements that were tried, some of them at random poses, and
+the mean of all cells there, which counts as two of them. So a bare wall that lies on a wall at every placement is no evidence, nor is a door among equal doors.
 """
 
 from __future__ import annotations
@@ -34,6 +34,8 @@ UNCHANGED_PROBABILITIES = np.linspace(0.5, 0.995, 100)
 # Probability that a cell fits that is as it was, and the largest one that a cell fits anywhere.
 # Origin: chosen, for points that are noise; not measured.
 MAX_FIT = 0.995
+# Placements that the mean fit of all cells counts as, for each cell. Origin: definition, as in Laplace's rule.
+PRIOR_COUNT = 2.0
 # Values of b, from almost no cell that fits to a place that looks as much alike as the others. Origin: numerical.
 ALIKE_OFFSETS = np.linspace(-6.0, 0.0, 61)
 
@@ -62,7 +64,9 @@ def chances_of_fit(placements: Sequence[CellFits]) -> Floats:
     """Return (k, n) the probability that a cell fits where it only looks alike, for each of k placements."""
     known = np.array([fits.known for fits in placements], dtype=np.float64)
     fit = known * np.array([fits.fit for fits in placements])
-    return np.asarray((fit.sum(axis=0) - fit + 1.0) / (known.sum(axis=0) - known + 2.0))
+    others, fitting = known.sum() - known.sum(axis=1), fit.sum() - fit.sum(axis=1)
+    mean = ((fitting + 1.0) / (others + 2.0))[:, None]  # with Laplace's rule of succession
+    return np.asarray((fit.sum(axis=0) - fit + PRIOR_COUNT * mean) / (known.sum(axis=0) - known + PRIOR_COUNT))
 
 
 def evidence_of(fits: CellFits, chance: Floats) -> float:

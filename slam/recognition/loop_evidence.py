@@ -17,12 +17,12 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
-from ..loop_closure.agreement import DOUBTED_SCALE
 from ..loop_closure.criteria import differ
 from ..loop_closure.decision import LoopDecision
-from ..loop_closure.look import SUBMAP_HALF_WIDTH, SUBMAP_LENGTH, Look, Submaps
+from ..loop_closure.look import SUBMAP_LENGTH, Look, Submaps
 from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper
+from ..matching.distance_field import FIELD_HALF_WIDTH
 from .decision import scan_keyframes
 from .drive_scans import DriveScans
 from .location import RECOGNISED, locate
@@ -39,9 +39,9 @@ def check_evidence(
     place, poses = decision.matches[-1].old, mapper.keyframe_poses
     look = Look(mapper, local_field, Submaps(), among)
     if not look.admits(place, look.relative(place, decision.correction)):  # the looks have doubted the estimate
-        look = Look(mapper, local_field, Submaps(), among, deviation_scale=DOUBTED_SCALE)
+        look = Look(mapper, local_field, Submaps(), among, doubted=True)
     first = look.keyframe_at(decision.matches[0].travelled - SUBMAP_LENGTH)
-    reach = _distances(poses[first:], poses[first]).max() + look.search_radius(place) + SUBMAP_HALF_WIDTH
+    reach = _distances(poses[first:], poses[first]).max() + look.search_radius(place) + FIELD_HALF_WIDTH
     travelled = np.asarray(mapper.travelled)
     old = among & (travelled < travelled[first] - SUBMAP_LENGTH) & (_distances(poses, look.pose) < reach)
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)

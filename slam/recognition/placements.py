@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.look import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
+from ..matching.free_space import SEEN_CELL
 from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
 from .map_index import align_candidates
 from .scanned_map import PlacedScan, ScannedDrive, ScannedMap
@@ -26,6 +28,9 @@ from .submap_alignment import align_submap, sample_walls
 # Placements that are compared, those first in which a submap has most wall length on walls of the other map.
 # Origin: chosen, for speed; not measured.
 MAX_PLACEMENTS = 64
+# Candidates at random poses: they show how well places fit that have nothing in common with the drive. Origin: chosen,
+# their cells are some hundred.
+RANDOM_CANDIDATES = 16
 # Metres, metres, radians: standard deviations of a candidate from walls, the last gates of `submap_alignment`.
 # Origin: definition.
 ALIGNMENT_SIGMAS = np.array([0.2, 0.2, 0.05])
@@ -44,6 +49,13 @@ class Uncertainty:
         """Return True if a submap may be at a pose in the other map. No submap has drifted farther than the last."""
         error = se2.between(submap.pose, pose)
         return bool(error @ np.linalg.solve(self.covariance, error) < MAX_SQUARED_DISTANCE)
+
+    def draw(self, submap: PlacedScan, random: np.random.Generator) -> se2.Pose:
+        """Return a pose of a submap in the other map, drawn from those that are admitted with equal probability."""
+        direction = random.standard_normal(3)
+        direction *= random.random() ** (1.0 / 3.0) / np.linalg.norm(direction)
+        offset = math.sqrt(MAX_SQUARED_DISTANCE) * np.linalg.cholesky(self.covariance) @ direction
+        return se2.compose(submap.pose, offset)
 
     @property
     def volume(self) -> float:
@@ -69,12 +81,12 @@ class Placement:
 
 
 def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None = None) -> list[Placement]:
-    """Return the different placements of a map in another one that walls of its submaps suggest.
+    """Return the different placements of a map in another one that walls of its submaps suggest, and random ones.
 
     near  admits only some poses, and suggests the one that the drive has by its own map; None if it may be anywhere
     """
     placements: list[Placement] = []
-    for submap, pose in _candidates(new, old, near):
+    for submap, pose in chain(_candidates(new, old, near), _random_candidates(new, old, near)):
         if any(not are_distinct(placement.poses[submap], pose) for placement in placements):
             continue
         placement = _refine(new, old, submap, pose)
@@ -83,6 +95,21 @@ def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
         if len(placements) == MAX_PLACEMENTS:
             break
     return placements
+
+
+def _random_candidates(
+    new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
+) -> Iterator[tuple[int, se2.Pose]]:
+    """Yield the last submap at random poses that are admitted: in seen space, or within the uncertainty."""
+    random, submap = np.random.default_rng(0), new.submaps[-1]
+    seen = np.argwhere(old.field.seen)
+    for _ in range(RANDOM_CANDIDATES):
+        if near is not None:
+            pose = near.draw(submap, random)
+        else:
+            position = old.field.origin + SEEN_CELL * (seen[random.integers(len(seen))] + 0.5)
+            pose = np.array([*position, random.uniform(-math.pi, math.pi)])
+        yield len(new.submaps) - 1, pose
 
 
 def _candidates(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> Iterator[tuple[int, se2.Pose]]:
