@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Pose = NDArray[np.float64]
 Angle = TypeVar("Angle", float, NDArray[np.float64])
+# Radians: half a turn below which an arc is straight. Origin: numerical.
+MIN_HALF_TURN = 1e-8
 
 
 def wrap(angle: ArrayLike) -> NDArray[np.float64]:
@@ -71,6 +73,29 @@ def adjoint(pose: ArrayLike) -> NDArray[np.float64]:
     result[..., 0, 2], result[..., 1, 2] = p[..., 1], -p[..., 0]
     result[..., 2, 2] = 1.0
     return result
+
+
+def log(pose: ArrayLike) -> NDArray[np.float64]:
+    """Return the twist (..., 3) [x, y, heading] that moves by a transform if it is constant along the way.
+
+    The error of a heading turns all that was driven since. As twists such errors lie on a line, as transforms on an
+    arc: so squared Mahalanobis distances are those of twists, if the heading may err by more than some degrees.
+    """
+    p = np.asarray(pose, dtype=np.float64)
+    half = 0.5 * p[..., 2]
+    small = np.abs(half) < MIN_HALF_TURN
+    along = np.where(small, 1.0, half / np.tan(np.where(small, 1.0, half)))
+    x, y = p[..., 0], p[..., 1]
+    return _stack_last(along * x + half * y, along * y - half * x, p[..., 2])
+
+
+def exp(twist: ArrayLike) -> Pose:
+    """Return the transform (..., 3) of a twist: the inverse of `log`."""
+    t = np.asarray(twist, dtype=np.float64)
+    half = 0.5 * t[..., 2]
+    chord = np.sinc(half / math.pi)  # numpy's sinc(x) is sin(pi x) / (pi x)
+    c, s = chord * np.cos(half), chord * np.sin(half)
+    return _stack_last(c * t[..., 0] - s * t[..., 1], s * t[..., 0] + c * t[..., 1], _wrapped(t[..., 2]))
 
 
 # The functions above are called a hundred times per scan, mostly with a single pose. Arithmetic with Python's numbers

@@ -8,8 +8,10 @@ rival. Looks count only if they are pairwise consistent (Mangelson et al., 2018)
 the old map must be that of the estimate. The estimate itself is the first hypothesis: if it fits, the robot has
 returned, and nothing is corrected.
 
-The uncertainty of the estimate may be wrong itself. So if no place is recognised within it, and none was for some time,
-places are searched where the robot may be if its errors are the same all along the drive; see `Look.error_scale`.
+The uncertainty of the estimate may be wrong itself. So if looks contradict the estimate, and no place is recognised
+within its uncertainty, places are searched where the robot may be if its errors are the same all along the drive; see
+`Look.error_scale`. If the estimate has the robot where nothing was mapped, it is not in doubt: a place that looks alike
+may be there.
 
 Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
 where odometry has put them, and a pose that fits there is one of the matches.
@@ -27,7 +29,7 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from .criteria import MIN_KNOWN, SUPPORT_RATIO, confirm, differ, fits, is_determined, prevails, support_checks
+from .criteria import MIN_KNOWN, MIN_SUPPORT, SUPPORT_RATIO, confirm, differ, fits, is_determined, prevails, support_checks
 from .decision import Check, LoopDecision
 from .look import MAX_PLACES, SUBMAP_LENGTH, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
@@ -40,9 +42,9 @@ SEARCH_INTERVAL = 2.0
 # Share of the best match's quality from which another one at the same look is supported too.
 # Origin: chosen; not measured.
 RIVAL_QUALITY = 0.9
-# Places beyond the estimate's uncertainty that are searched at a look, if those within it take all the time.
-# Origin: chosen, within MEMORY 40 of them are searched.
-MIN_DOUBTED_PLACES = 2
+# Places beyond the estimate's uncertainty that are searched at a look. Origin: chosen, for time; within MEMORY 40 of
+# them are searched.
+DOUBTED_PLACES = 2
 # Metres of driving after the last support for which a hypothesis is followed. Origin: chosen; not measured.
 MEMORY = 40.0
 
@@ -156,11 +158,10 @@ class LoopAgreement:
         places = look.possible_places()
         tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
         found = [] if self._is_settled(look, places, tested) else self._find(look, places)
-        if not (self._joins or found or self._returns or is_recognised(look, tested)):
+        if self._is_refuted(look) and not (found or self._returns or is_recognised(look, tested)):
             look = Look(mapper, local_field, self._submaps, among, doubted=True)
-            left = max(MIN_DOUBTED_PLACES, MAX_PLACES - len(places))
             places = look.possible_places()
-            found = self._find(look, places, left)
+            found = self._find(look, places, DOUBTED_PLACES)
         if not places:
             return None
         self._vote(look, tested, found, local_field)
@@ -169,6 +170,10 @@ class LoopAgreement:
             self._note_rejections(look)
             return None
         return self.number(decision)
+
+    def _is_refuted(self, look: Look) -> bool:
+        """Return True if looks contradict the estimate: the robot is at another place, however certain it may be."""
+        return self._estimate.contradictions_since(look.travelled - MEMORY) >= MIN_SUPPORT
 
     def _is_settled(self, look: Look, places: Sequence[int], tested: Sequence[Tested]) -> bool:
         """Return True if the look agrees with the estimate, which is certain: other places need not be searched."""

@@ -21,6 +21,9 @@ MIN_KNOWN = 0.4
 MAX_MATCH_SIGMA = 0.17
 # Looks that must support a hypothesis. Origin: definition, the least number of which two have no point in common.
 MIN_SUPPORT = 4
+# Standard deviations of the position over which the looks that support a hypothesis must extend. Origin: chosen, 99.7 %
+# of a normal distribution.
+SPAN_DEVIATIONS = 3.0
 # Looks that support a hypothesis for each that contradicts it, and for each that supports a rival.
 # Origin: chosen, doors and people make a true place look wrong now and then; not measured.
 SUPPORT_RATIO = 3.0
@@ -52,7 +55,7 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
     corrects  true if it would correct the estimate; false if it is that the estimate is right
     """
     count, old = len(hypothesis.support), hypothesis.support[-1].old
-    span = max(SUBMAP_LENGTH, look.search_radius(old))
+    span = max(SUBMAP_LENGTH, SPAN_DEVIATIONS * look.deviation(old))
     checks = [
         Check("support", count, MIN_SUPPORT, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),

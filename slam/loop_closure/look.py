@@ -6,6 +6,7 @@ searched at once, those that were not searched for the longest time come first.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -32,8 +33,9 @@ MAX_SUBMAPS = 16
 MAX_PLACES = 8  # Origin: as MAX_SUBMAPS.
 # Largest squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
 MAX_SQUARED_DISTANCE = 16.3
-# Standard deviations of the estimate within which places are searched. Origin: chosen, 99.7 % of a normal distribution.
-SEARCH_DEVIATIONS = 3.0
+# Standard deviations of the estimate within which places are searched. Origin: definition, all that are admitted: else
+# one that looks alike may be within them, and the right one beyond.
+SEARCH_DEVIATIONS = math.sqrt(MAX_SQUARED_DISTANCE)
 # Metres, metres, radians: errors of the estimate that its covariance does not contain, such as slips that were not
 # recognised. Origin: chosen; not measured.
 UNMODELLED_SIGMAS = np.array([0.3, 0.3, 0.05])
@@ -203,9 +205,13 @@ class Look:
         nearest = int(self._old[-1])
         return float(spread[nearest] + np.sqrt(np.linalg.eigvalsh(self.covariance(nearest)[:2, :2])[-1]))
 
+    def deviation(self, old: int) -> float:
+        """Return the standard deviation (metres) of the position relative to an old keyframe, in any direction."""
+        return float(np.sqrt(np.linalg.eigvalsh(self.covariance(old)[:2, :2])[-1]))
+
     def search_radius(self, old: int) -> float:
         """Return the metres by which the position relative to an old keyframe may be wrong."""
-        return SEARCH_DEVIATIONS * float(np.sqrt(np.linalg.eigvalsh(self.covariance(old)[:2, :2])[-1]))
+        return SEARCH_DEVIATIONS * self.deviation(old)
 
     def relative(self, old: int, motion: se2.Pose) -> se2.Pose:
         """Return the pose of the submap in that of an old place, if the robot is moved in the map by `motion`."""
@@ -308,6 +314,6 @@ def _position_sigmas(covariances: Floats) -> Floats:
 
 
 def _squared(pose: se2.Pose, other: se2.Pose, covariance: Floats) -> float:
-    """Return the squared Mahalanobis distance of a pose from another one."""
-    error = se2.between(pose, other)
+    """Return the squared Mahalanobis distance of a pose from another one, that of the twist between them."""
+    error = se2.log(se2.between(pose, other))
     return float(error @ np.linalg.solve(covariance, error))

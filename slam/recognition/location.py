@@ -56,6 +56,9 @@ STATED = Expectation(prior=0.95, mapped=0.8, error=0.001)
 LOST = Expectation(prior=0.5, mapped=0.8, error=0.001)
 # Of a drive that looks at old places have recognised. Origin: as LOST, but looks have compared what is mapped.
 RECOGNISED = Expectation(prior=0.5, mapped=0.0, error=0.001)
+# Likewise, where the robot can only be if the estimate's covariance is wrong. Origin: definition, the share of right
+# covariances that a test at the usual level of significance takes for wrong ones.
+DOUBTED = Expectation(prior=0.05, mapped=0.0, error=0.001)
 # Of a session that may overlap with another one in a part, or not. Origin: chosen, a smaller error than that of a
 # robot, whose further scans can contradict the decision.
 OVERLAP = Expectation(prior=0.5, mapped=0.0, error=0.0001)

@@ -25,7 +25,7 @@ from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
 from .decision import scan_keyframes
 from .drive_scans import DriveScans
-from .location import RECOGNISED, locate
+from .location import DOUBTED, RECOGNISED, locate
 from .placements import Uncertainty
 
 
@@ -37,15 +37,15 @@ def check_evidence(
     among  (k,) keyframes of the connected part of the map
     """
     place, poses = decision.matches[-1].old, mapper.keyframe_poses
-    look = Look(mapper, local_field, Submaps(), among)
+    look, expected = Look(mapper, local_field, Submaps(), among), RECOGNISED
     if not look.admits(place, look.relative(place, decision.correction)):  # the looks have doubted the estimate
-        look = Look(mapper, local_field, Submaps(), among, doubted=True)
+        look, expected = Look(mapper, local_field, Submaps(), among, doubted=True), DOUBTED
     first = look.keyframe_at(decision.matches[0].travelled - SUBMAP_LENGTH)
     reach = _distances(poses[first:], poses[first]).max() + look.search_radius(place) + FIELD_HALF_WIDTH
     travelled = np.asarray(mapper.travelled)
     old = among & (travelled < travelled[first] - SUBMAP_LENGTH) & (_distances(poses, look.pose) < reach)
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
-    location = locate(drive, known, RECOGNISED, Uncertainty(look.covariance(place)))
+    location = locate(drive, known, expected, Uncertainty(look.covariance(place)))
     if location.accepted and not differ(look, location.members[-1].motion, decision.correction):
         return decision
     reason = f"the drive as a whole does not fit there: {location.reason}"

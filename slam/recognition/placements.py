@@ -47,7 +47,7 @@ class Uncertainty:
 
     def admits(self, submap: PlacedScan, pose: se2.Pose) -> bool:
         """Return True if a submap may be at a pose in the other map. No submap has drifted farther than the last."""
-        error = se2.between(submap.pose, pose)
+        error = se2.log(se2.between(submap.pose, pose))
         return bool(error @ np.linalg.solve(self.covariance, error) < MAX_SQUARED_DISTANCE)
 
     def draw(self, submap: PlacedScan, random: np.random.Generator) -> se2.Pose:
@@ -55,7 +55,7 @@ class Uncertainty:
         direction = random.standard_normal(3)
         direction *= random.random() ** (1.0 / 3.0) / np.linalg.norm(direction)
         offset = math.sqrt(MAX_SQUARED_DISTANCE) * np.linalg.cholesky(self.covariance) @ direction
-        return se2.compose(submap.pose, offset)
+        return se2.compose(submap.pose, se2.exp(offset))
 
     @property
     def volume(self) -> float:

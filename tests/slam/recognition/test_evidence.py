@@ -50,8 +50,10 @@ def test_a_place_that_only_looks_alike_rarely_has_much_evidence() -> None:
 def test_chance_of_a_cell_is_the_share_of_the_places_where_it_fits() -> None:
     others = [fits_of([1.0, 0.0, 1.0], [True, True, False]), fits_of([1.0, 1.0, 1.0], [True, True, False])]
     chances = chances_of_fit([fits_of([1.0, 1.0, 1.0]), *others])
-    np.testing.assert_allclose(chances[0], [3 / 4, 2 / 4, 1 / 2])
-    np.testing.assert_allclose(chances[1], [3 / 4, 3 / 4, 2 / 3])
+    mean = (3 + 1) / (4 + 2)  # of all cells of the others, three of four of which fit
+    np.testing.assert_allclose(chances[0], [(2 + 2 * mean) / 4, (1 + 2 * mean) / 4, mean])
+    mean = (5 + 1) / (5 + 2)
+    np.testing.assert_allclose(chances[1], [(2 + 2 * mean) / 4, (2 + 2 * mean) / 4, (1 + 2 * mean) / 3])
 
 
 def test_what_has_changed_fits_by_chance() -> None:
