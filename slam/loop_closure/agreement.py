@@ -29,7 +29,17 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from .criteria import MIN_KNOWN, MIN_SUPPORT, SUPPORT_RATIO, confirm, differ, fits, is_determined, prevails, support_checks
+from .criteria import (
+    MIN_KNOWN,
+    MIN_SUPPORT,
+    SUPPORT_RATIO,
+    confirm,
+    differ,
+    fits,
+    is_determined,
+    prevails,
+    support_checks,
+)
 from .decision import Check, LoopDecision
 from .look import MAX_PLACES, SUBMAP_LENGTH, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis

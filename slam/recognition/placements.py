@@ -97,9 +97,7 @@ def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
     return placements
 
 
-def _random_candidates(
-    new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
-) -> Iterator[tuple[int, se2.Pose]]:
+def _random_candidates(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> Iterator[tuple[int, se2.Pose]]:
     """Yield the last submap at random poses that are admitted: in seen space, or within the uncertainty."""
     random, submap = np.random.default_rng(0), new.submaps[-1]
     seen = np.argwhere(old.field.seen)

@@ -1,0 +1,49 @@
+"""Loops beyond the uncertainty of an estimate whose covariances are too small."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from slam.evaluation.benchmarks.lookalike import MAX_ERROR, run_world
+from slam.loop_closure.loop_status import LoopStatus
+from slam.mapping.keyframe_covariances import KeyframeCovariances
+from slam.recognition import loop_evidence
+from slam.recognition.location import DOUBTED, Expectation, Location
+
+COVARIANCE_FACTOR = 0.02  # standard deviations seven times too small
+SEED = 5  # with 3 m of drift
+
+
+def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is_wrong(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in ("relative", "relative_bound", "relative_to_all"):
+        monkeypatch.setattr(KeyframeCovariances, name, _scaled(getattr(KeyframeCovariances, name)))
+    expectations: list[Expectation] = []
+
+    def locate(drive: Any, known: Any, expected: Expectation, near: Any) -> Location:
+        expectations.append(expected)
+        return original(drive, known, expected, near)
+
+    original = loop_evidence.locate
+    monkeypatch.setattr(loop_evidence, "locate", locate)
+    run = run_world("large_loop", SEED)
+    assert run.needed and run.joined
+    assert [decision.status for decision in run.decisions] == [LoopStatus.ACCEPTED]
+    assert run.decisions[0].error < MAX_ERROR
+    assert expectations == [DOUBTED]
+
+
+def _scaled(function: Any) -> Any:
+    """Return a method whose covariances are COVARIANCE_FACTOR times those of another one."""
+
+    def scaled(self: KeyframeCovariances, *arguments: Any, **options: Any) -> Any:
+        result = function(self, *arguments, **options)
+        if isinstance(result, np.ndarray):
+            return COVARIANCE_FACTOR * result
+        return [COVARIANCE_FACTOR * covariance for covariance in result]
+
+    return scaled
