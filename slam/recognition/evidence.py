@@ -9,7 +9,8 @@ $r_u = h\,r + (1 - h)\,c_u$. The evidence is the logarithm of the likelihood rat
 
 with $\operatorname{logit} c_u(b) = \operatorname{logit} c_u + b$: a place may look less alike than others, not more.
 $c_u$ is the share with which the cell fits at all other placements that were tried, some of them at random poses, and
-the mean of all cells there, which counts as two of them. So a bare wall that lies on a wall at every placement is no evidence, nor is a door among equal doors.
+the mean of all cells there, which counts as two of them. So a bare wall that lies on a wall at every placement is no
+evidence, nor is a door among equal doors.
 """
 
 from __future__ import annotations

@@ -31,7 +31,8 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
     original = loop_evidence.locate
     monkeypatch.setattr(loop_evidence, "locate", locate)
     run = run_world("large_loop", SEED)
-    assert run.needed and run.joined
+    assert run.needed
+    assert run.joined
     assert [decision.status for decision in run.decisions] == [LoopStatus.ACCEPTED]
     assert run.decisions[0].error < MAX_ERROR
     assert expectations == [DOUBTED]
