@@ -14,7 +14,7 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulatio
 
 from ...errors import MapError
 from .scenarios.buildings import random_building, turning_path, wide_hall
-from .scenarios.log_variants import LogVariant, drift, jitter, reverse_times, shorten, stamp_late, thin
+from .scenarios.log_variants import LogVariant, crop, drift, jitter, reverse_times, shorten, stamp_late, thin
 from .scenarios.recorded import recorded
 from .scenarios.strangers import stranger
 from .scenarios.world_variants import add_crowd
@@ -29,6 +29,8 @@ PEOPLE = 10
 """In the crowd around the robot."""
 LATE = 0.4
 """Seconds by which the scans of the late lidar are stamped late: more than its period."""
+NARROW_HALF_ANGLE = float(np.radians(45.0))
+"""Radians to both sides of ahead that a narrow lidar, or a depth camera, sees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +61,7 @@ VARIANTS: dict[str, DriveVariant] = {
     "drift": DriveVariant(drift(), drawn=True),
     "backwards-drift": DriveVariant(drift(), backwards=True, drawn=True),
     "jitter": DriveVariant(jitter(), drawn=True),
+    "narrow": DriveVariant(crop(NARROW_HALF_ANGLE)),
     "short-range": DriveVariant(shorten()),
     "thinned": DriveVariant(thin()),
 }
