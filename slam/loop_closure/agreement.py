@@ -168,10 +168,11 @@ class LoopAgreement:
         places = look.possible_places()
         tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
         found = [] if self._is_settled(look, places, tested) else self._find(look, places)
-        if self._is_refuted(look) and not (found or self._returns or is_recognised(look, tested)):
+        if self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):
             look = Look(mapper, local_field, self._submaps, among, doubted=True)
             places = look.possible_places()
-            found = self._find(look, places, DOUBTED_PLACES)
+            beyond = self._find(look, places, DOUBTED_PLACES)
+            found += [vote for vote in beyond if all(differ(look, vote.motion, other.motion) for other in found)]
         if not places:
             return None
         self._vote(look, tested, found, local_field)

@@ -7,7 +7,7 @@ import numpy as np
 from drivers import se2
 
 from .decision import Check, LoopDecision
-from .look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH, Look
+from .look import SUBMAP_LENGTH, Look
 from .loop_hypothesis import LoopHypothesis
 from .loop_status import LoopStatus
 from .submap_search import MIN_SCREENING_FIT, SubmapMatch, are_distinct
@@ -19,6 +19,9 @@ MIN_KNOWN = 0.4
 # Metres: largest standard deviation of a match in any direction; along a bare corridor it is larger.
 # Origin: definition, as MAX_LINK_SIGMA.
 MAX_MATCH_SIGMA = 0.17
+# Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched as well:
+# if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof, 95 %.
+MAX_CLOSED_DISTANCE = 7.81
 # Looks that must support a hypothesis. Origin: definition, the least number of which two have no point in common.
 MIN_SUPPORT = 4
 # Standard deviations of the position over which the looks that support a hypothesis must extend. Origin: chosen, 99.7 %
@@ -63,7 +66,7 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
     ]
     if corrects:
         deviations = np.sqrt(look.squared_distance(old, look.relative(old, hypothesis.motion)))
-        checks.append(Check("mahalanobis", float(deviations), float(np.sqrt(MAX_SQUARED_DISTANCE)), at_least=False))
+        checks.append(Check("mahalanobis", float(deviations), float(np.sqrt(MAX_CLOSED_DISTANCE)), at_least=False))
     return tuple(checks)
 
 

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from drivers import se2
 
-from .criteria import differ, fits, is_determined
+from .criteria import MAX_CLOSED_DISTANCE, differ, fits, is_determined
 from .look import Look
 from .loop_hypothesis import LoopHypothesis
 from .submap_search import SubmapMatch
@@ -41,7 +41,7 @@ def find_votes(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
     return distinct
 
 
-def is_recognised(look: Look, tested: Sequence[Tested]) -> bool:
-    """Return True if a hypothesis fits where the estimate's uncertainty admits it."""
-    fitting = (vote for _, vote in tested if vote is not None and fits(vote.match))
-    return any(look.admits(vote.old, vote.match.pose) for vote in fitting)
+def is_recognised(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> bool:
+    """Return True if a vote fits with which the estimate's uncertainty admits a closure."""
+    fitting = [*found, *(vote for _, vote in tested if vote is not None and fits(vote.match))]
+    return any(look.squared_distance(vote.old, vote.match.pose) < MAX_CLOSED_DISTANCE for vote in fitting)

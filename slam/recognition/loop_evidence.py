@@ -17,7 +17,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
-from ..loop_closure.criteria import differ
+from ..loop_closure.criteria import MAX_CLOSED_DISTANCE, differ
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.look import SUBMAP_LENGTH, Look, Submaps
 from ..loop_closure.loop_status import LoopStatus
@@ -38,7 +38,8 @@ def check_evidence(
     """
     place, poses = decision.matches[-1].old, mapper.keyframe_poses
     look, expected = Look(mapper, local_field, Submaps(), among), RECOGNISED
-    if not look.admits(place, look.relative(place, decision.correction)):  # the looks have doubted the estimate
+    if look.squared_distance(place, look.relative(place, decision.correction)) >= MAX_CLOSED_DISTANCE:
+        # the looks have doubted the estimate
         look, expected = Look(mapper, local_field, Submaps(), among, doubted=True), DOUBTED
     first = look.keyframe_at(decision.matches[0].travelled - SUBMAP_LENGTH)
     reach = _distances(poses[first:], poses[first]).max() + look.search_radius(place) + FIELD_HALF_WIDTH
