@@ -19,7 +19,7 @@ MIN_KNOWN = 0.4
 # Metres: largest standard deviation of a match in any direction; along a bare corridor it is larger.
 # Origin: definition, as MAX_LINK_SIGMA.
 MAX_MATCH_SIGMA = 0.17
-# Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched as well:
+# Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
 # if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof, 95 %.
 MAX_CLOSED_DISTANCE = 7.81
 # Looks that must support a hypothesis. Origin: definition, the least number of which two have no point in common.
