@@ -127,8 +127,8 @@ def test_no_wrong_closure_is_accepted_between_similar_places(
     assert not result.wrong
 
 
-def test_looks_that_slid_along_a_corridor_close_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four looks agree on a place 25 m off, as everything fits along all of the corridor; the evidence is missing."""
+def test_looks_that_agree_on_a_wrong_door_close_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight looks agree on a place 3 m off, one of equal doors; the evidence for the right one is as large."""
     rejected: list[str] = []
 
     def recorded(*arguments: Any) -> LoopDecision:
@@ -137,9 +137,9 @@ def test_looks_that_slid_along_a_corridor_close_no_loop(monkeypatch: pytest.Monk
         return decision
 
     monkeypatch.setattr("slam.estimation.loop_update.check_evidence", recorded)
-    assert not run_world("bare_corridor", 8723).accepted
+    assert not run_world("equal_doors", 8770).wrong
     assert rejected, "looks did not agree, so this proves nothing"
-    assert "does not fit there" in rejected[0]
+    assert "fits in several places" in rejected[0]
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
