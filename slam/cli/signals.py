@@ -34,7 +34,7 @@ def ending_signals() -> list[signal.Signals]:
 
 
 def exit_at_once() -> None:
-    """Make Ctrl-C end the process at once, while there is nothing to save: an exception would print where it arrived."""
+    """Make Ctrl-C end the process at once, while there is nothing to save; an exception would be printed."""
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored
         signal.signal(signal.SIGINT, _end_process)
 
