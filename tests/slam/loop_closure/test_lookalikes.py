@@ -94,7 +94,7 @@ def limit_drives(monkeypatch: pytest.MonkeyPatch, seconds: float | None) -> None
 
 
 def test_needed_loop_is_closed_at_the_right_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    limit_drives(monkeypatch, 130.0)  # some seconds after the closure
+    limit_drives(monkeypatch, 125.0)  # the loop is closed after 120 s
     result = run_world("large_loop", 0)
     assert result.needed
     assert result.joined
@@ -105,7 +105,7 @@ def test_needed_loop_is_closed_at_the_right_place(monkeypatch: pytest.MonkeyPatc
 @pytest.mark.parametrize(
     ("world", "seed", "seconds"),
     [
-        ("equal_offices", 2, 200.0),  # several looks find two places
+        ("equal_offices", 2, 170.0),  # several looks find two places, from 143 s on
         pytest.param("equal_offices", 5, None, marks=pytest.mark.slow),
         pytest.param("equal_offices", 18, None, marks=pytest.mark.slow),
     ],
@@ -127,8 +127,12 @@ def test_no_wrong_closure_is_accepted_between_similar_places(
     assert not result.wrong
 
 
-def test_looks_that_slid_along_a_corridor_close_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Four looks agree on a place 25 m off, as everything fits along all of the corridor; the evidence is missing."""
+@pytest.mark.parametrize("seconds", [130.0, pytest.param(None, marks=pytest.mark.slow)])
+def test_looks_that_slid_along_a_corridor_close_no_loop(seconds: float | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four looks agree on a place 25 m off, as everything fits along all of the corridor; the evidence is missing.
+
+    They do so after 120 s; whole drives take half as long again.
+    """
     rejected: list[str] = []
 
     def recorded(*arguments: Any) -> LoopDecision:
@@ -137,6 +141,7 @@ def test_looks_that_slid_along_a_corridor_close_no_loop(monkeypatch: pytest.Monk
         return decision
 
     monkeypatch.setattr("slam.estimation.loop_update.check_evidence", recorded)
+    limit_drives(monkeypatch, seconds)
     assert not run_world("bare_corridor", 8723).accepted
     assert rejected, "looks did not agree, so this proves nothing"
     assert "does not fit there" in rejected[0]
