@@ -14,8 +14,6 @@ scan after the other may fit as poorly as that elsewhere, too. So a poor fit say
 
 from __future__ import annotations
 
-import numpy as np
-
 from drivers import se2
 
 from ..localisation.tracking import TrackingResult, TrackingStatus
