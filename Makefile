@@ -32,7 +32,7 @@ help:
 
 env: $(READY)
 
-# Modules are not compiled when they are installed: a tenth is imported, which Python then compiles and stores.
+# Modules are not compiled when they are installed: a quarter is imported, which Python then compiles and stores.
 $(READY): requirements.lock pyproject.toml
 	@test ! -L $(VENV) || { echo "$(VENV) is a link, and what it leads to would be deleted; remove the link first"; exit 2; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; choose one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
