@@ -32,12 +32,12 @@ help:
 
 env: $(READY)
 
+# Modules are not compiled when they are installed: a quarter is imported, which Python then compiles and stores.
 $(READY): requirements.lock pyproject.toml
 	@test ! -L $(VENV) || { echo "$(VENV) is a link, and what it leads to would be deleted; remove the link first"; exit 2; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "Python >= 3.11 is needed; choose one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 2; }
 	$(PYTHON) -m venv --clear $(VENV)
 	$(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check --require-hashes --requirement requirements.lock
-	@$(BIN)/python -m compileall -q -j 2 -x '/tests?/' $(VENV)/lib >/dev/null || true  # pip compiles one after the other
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@echo "compiling, once; takes about a minute"; $(BIN)/python -c "import slam; slam.warm_up()"
 	@touch $@

@@ -3,11 +3,15 @@
 import gc
 from collections.abc import Iterator
 from functools import cache
+from hashlib import blake2b
 
 import pytest
 from hypothesis import settings
 from typer.main import get_command
 
+from drivers import se2
+from drivers.messages import Floats
+from drivers.timing import turns
 from features.kernel import extract_features
 from kernel_cache import is_cached
 from slam.cli import COLLECTION_THRESHOLD
@@ -45,4 +49,22 @@ def command_line_is_built_once() -> Iterator[None]:
     """Build the commands and options once and not at each call of CliRunner: most of the time of a short command."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("typer.testing._get_command", cache(get_command))
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
+def scans_are_matched_once() -> Iterator[None]:
+    """Keep the motions between scans from which the timing of a recording is estimated: most of the time that it takes
+    to open one, and many tests open the same ones again.
+    """
+    measure, known = turns._motion, {}
+
+    def measure_once(before: Floats, points: Floats, guess: se2.Pose) -> se2.Pose | None:
+        key = blake2b(b"".join(array.tobytes() for array in (guess, before, points))).digest()
+        if key not in known:
+            known[key] = measure(before, points, guess)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(turns, "_motion", measure_once)
         yield

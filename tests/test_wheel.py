@@ -42,6 +42,7 @@ def test_the_wheel_contains_types_worlds_and_page_parts(wheel: Path) -> None:
     assert {f"{page}page.{suffix}" for suffix in ("html", "css", "js")} <= names
 
 
+@pytest.mark.slow
 def test_mypy_uses_the_types_of_an_installed_wheel(wheel: Path, tmp_path: Path) -> None:
     environment = tmp_path / "venv"
     venv.create(environment)

@@ -9,6 +9,7 @@ import numpy as np
 from .. import se2
 from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport
 from ..path_length import path_length
+from .odometry_speed import MIN_INTERVAL
 
 GAP_RATIO = 4.0
 """A gap is longer than this ratio times the 90th percentile of the periods, and longer than MIN_GAP."""
@@ -16,8 +17,6 @@ MIN_GAP = 0.5
 """Seconds."""
 MAX_SPEED, MAX_TURN_RATE = 5.0, 10.0
 """m/s and rad/s. Faster odometry than any indoor robot is a jump."""
-MIN_INTERVAL = 0.02
-"""Seconds. Shorter intervals are taken as this long, so that jitter of the stamps is not taken for a jump."""
 MIN_JUMP, MIN_JUMP_TURN = 0.1, 0.2
 """Metres and radians; smaller steps are not jumps at any speed."""
 MAX_INVALID_SHARE = 0.5

@@ -16,6 +16,7 @@ from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Scan, SourceReport, mirrored, with_reversed_times
 from .copies import without_copies
 from .frozen_odometry import FrozenOdometryDetector
+from .odometry_speed import OdometrySpeed
 from .stamp_units import in_seconds
 from .time_ordering import order_by_time
 
@@ -63,7 +64,7 @@ class RecordingReader(ABC):
 
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
-        frozen = FrozenOdometryDetector()
+        frozen, speed = FrozenOdometryDetector(), OdometrySpeed()
         beams_reversed = self.beams_reversed
         reason, gyroscope = self.reason_to_mirror, self.gyroscope_scale
         messages = self._first_or_new_messages()
@@ -78,10 +79,12 @@ class RecordingReader(ABC):
         for message in messages:
             report.messages += 1
             frozen.add(message)
+            speed.add(message)
             yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
         frozen.finish()
-        if (text := frozen.describe()) is not None:
-            self.doubt(text)
+        for text in (frozen.describe(), speed.describe()):
+            if text is not None:
+                self.doubt(text)
 
     def select_scans(self, topic: str, cut_height: float | None, cut_thickness: float) -> None:
         """Select the topic of scans or point clouds, empty for the best one, and the layer of clouds (see `HeightCut`).
@@ -152,6 +155,11 @@ class RecordingReader(ABC):
             frozen.add(message)
         frozen.finish()
         return bool(frozen.found)
+
+    @cached_property
+    def doubt_of_odometry_unit(self) -> str | None:
+        """What is wrong with the speed of odometry, as one line of text, if its unit cannot be metres."""
+        return OdometrySpeed.of_path(self._turns.odometry[:, 0], self._turns.positions).describe()
 
     @cached_property
     def delay(self) -> Delay | None:

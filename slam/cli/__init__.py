@@ -12,26 +12,34 @@ import gc
 import os
 import sys
 
-from .console import EXIT_USER_ERROR, print_message
-from .import_check import find_import_error
-from .signals import exit_on_signals
+from .signals import exit_at_once, exit_on_signals
 
 COLLECTION_THRESHOLD = 50_000
 """New objects after which Python looks for garbage, instead of 700: imports create some 100 000 that all stay."""
 
 
 def main() -> None:
-    """Run the command line. SIGTERM and SIGHUP end a command with the same cleanup as Ctrl-C."""
+    """Run the command line. SIGTERM and SIGHUP end a command with the same cleanup as Ctrl-C.
+
+    While modules are imported there is nothing to clean up: Ctrl-C then ends the process at once, without a word.
+    """
+    exit_at_once()
     gc.set_threshold(COLLECTION_THRESHOLD)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # reuses what a run has freed
+    from typer.main import get_command
+
+    from .console import EXIT_USER_ERROR, print_message
+    from .import_check import find_import_error
+
     if error := find_import_error():
         print_message(error)
         sys.exit(EXIT_USER_ERROR)
     from .app import app, leave_out_others
 
     leave_out_others(sys.argv[1:])
+    command = get_command(app)
     exit_on_signals()
-    app(prog_name="wclm")
+    command(prog_name="wclm")
 
 
 __all__ = ["main"]

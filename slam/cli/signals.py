@@ -33,6 +33,17 @@ def ending_signals() -> list[signal.Signals]:
     return [signal.SIGINT, signal.SIGTERM, *([] if ignored else [signal.SIGHUP])]
 
 
+def exit_at_once() -> None:
+    """Make Ctrl-C end the process at once, while there is nothing to save; an exception would be printed."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # not ignored
+        signal.signal(signal.SIGINT, _end_process)
+
+
+def _end_process(number: int, frame: FrameType | None) -> None:
+    """Handle a signal without an exception: modules that are just imported could lose or report it."""
+    os._exit(SIGNAL_STATUS + number)
+
+
 def exit_on_signals() -> None:
     """Make SIGTERM and SIGHUP end the command with the same cleanup as Ctrl-C.
 
@@ -40,7 +51,7 @@ def exit_on_signals() -> None:
     while LLVM compiles or loads a function, is handled again a moment later.
     """
     for number in ending_signals():
-        if number != signal.SIGINT or signal.getsignal(number) is signal.default_int_handler:  # not ignored
+        if number != signal.SIGINT or signal.getsignal(number) in (signal.default_int_handler, _end_process):
             signal.signal(number, end_command)
     report = sys.unraisablehook
 

@@ -14,8 +14,6 @@ scan after the other may fit as poorly as that elsewhere, too. So a poor fit say
 
 from __future__ import annotations
 
-import numpy as np
-
 from drivers import se2
 
 from ..localisation.tracking import TrackingResult, TrackingStatus
@@ -49,9 +47,16 @@ class EarlierPart:
         self._balance, self._scans, self._travelled = 0, 0, 0.0  # metres
         self._counted: se2.Pose | None = None  # odometry at the last scan that was counted
 
-    def add(self, scan: ProcessedScan) -> TrackingResult:
-        """Track a scan in the earlier part."""
+    def add(self, scan: ProcessedScan) -> TrackingResult | None:
+        """Track a scan in the earlier part.
+
+        Once the robot seems to be elsewhere, scans that would not count are left out, and the result is None: to search
+        for a scan that fits nowhere takes most of the time of a lost robot.
+        """
         self._scans += 1
+        if self._balance == -DECIDING_MARGIN and not self._counts(scan.odometry):
+            self.monitor.record(scan)
+            return None
         tracking = track(self.state, scan, StageTimer())
         self.state.untracked_scans, self.state.tentative = [], []  # no part begins with them
         extend_trajectory(self.state, scan.stamp, tracking)
@@ -61,12 +66,20 @@ class EarlierPart:
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
         """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""
-        travel = np.inf if self._counted is None else float(wheel_travel(se2.between(self._counted, odometry)))
-        if not evidence or travel < CLOSE_SHARE * self.state.config.mapping.keyframe_distance:
+        if not evidence or not self._counts(odometry):
             return
-        self._travelled += 0.0 if self._counted is None else travel
+        self._travelled += self._travel(odometry)
         self._balance = max(self._balance + evidence, -DECIDING_MARGIN)
         self._counted = odometry
+
+    def _counts(self, odometry: se2.Pose) -> bool:
+        """Return True if a scan is far enough from the last one that was counted."""
+        distance = CLOSE_SHARE * self.state.config.mapping.keyframe_distance
+        return self._counted is None or self._travel(odometry) >= distance
+
+    def _travel(self, odometry: se2.Pose) -> float:
+        """Return the distance driven since the last scan that was counted, metres; zero if there is none."""
+        return 0.0 if self._counted is None else float(wheel_travel(se2.between(self._counted, odometry)))
 
     @property
     def holds(self) -> bool:

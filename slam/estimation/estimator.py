@@ -163,7 +163,7 @@ class Estimator:
         tracking = self._earlier.add(scan)
         if self._earlier.left:
             self._earlier = None
-        if self._earlier is None or not self._earlier.holds:
+        if tracking is None or self._earlier is None or not self._earlier.holds:
             return None
         self.state, self._monitor = self._earlier.state, self._earlier.monitor
         self._earlier = self._frozen = None

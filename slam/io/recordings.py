@@ -27,7 +27,7 @@ def absolute_recording(recording: str) -> str:
 
 
 def reason_without_odometry(source: Source) -> str | None:
-    """Return why a recording is mapped by the scans alone, as text; None if it has odometry that moves with the robot.
+    """Return why a recording is mapped by the scans alone, as text; None if it has odometry that can be used.
 
     Raises RecordingError if it cannot be read.
     """
@@ -36,7 +36,7 @@ def reason_without_odometry(source: Source) -> str | None:
         return "no odometry in it"
     if reader is not None and reader.odometry_never_moves:
         return "odometry never moves in it, though the scans change"
-    return None
+    return None if reader is None else reader.doubt_of_odometry_unit
 
 
 def open_source(recording: str | Path, config: Config) -> Source:

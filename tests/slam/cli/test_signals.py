@@ -44,3 +44,26 @@ def test_a_signal_while_a_function_is_loaded_ends_the_command(tmp_path: Path, nu
     assert result.returncode == (-signal.SIGINT if number == signal.SIGINT else 128 + signal.SIGTERM), result.stderr
     assert not result.stdout
     assert "Exception ignored" not in result.stderr
+
+
+EARLY = """
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
+class Interrupting:
+    def find_spec(self, name, *rest):
+        if name == {module!r}:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.0)  # it is handled here
+
+sys.meta_path.insert(0, Interrupting())
+from slam.cli import main
+main()
+"""
+
+
+@pytest.mark.parametrize("module", ["typer", "slam.cli.app", "slam.cli.commands.run"])
+def test_ctrl_c_while_modules_are_imported_ends_the_command_without_a_word(module: str) -> None:
+    command = [sys.executable, "-c", EARLY.format(module=module), "simulate", "office", "--bad"]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (result.returncode, result.stdout, result.stderr) == (130, "", "")

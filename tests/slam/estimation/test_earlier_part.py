@@ -62,3 +62,26 @@ def test_scans_that_fit_half_or_show_little_say_nothing(
 
 def test_scans_against_odometry_do_not_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not holds(monkeypatch, [tracking_result(slipped=True)] * 9)
+
+
+def test_scans_that_would_not_count_are_left_out_once_the_robot_seems_elsewhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A lost robot took 64 ms a scan on a fast computer, most of it for this test."""
+    part, tracked = EarlierPart(SlamState(Config()), ClosureMonitor()), []
+
+    def track(state: SlamState, scan: ProcessedScan, _: object) -> TrackingResult:
+        tracked.append(scan.stamp)
+        return tracking_result(TrackingStatus.FAILED if scan.stamp < 10.0 else TrackingStatus.TRACKED)
+
+    monkeypatch.setattr("slam.estimation.earlier_part.track", track)
+    for stamp in range(10):  # 0.1 m apart
+        part.add(ProcessedScan(float(stamp), np.array([0.1 * stamp, 0.0, 0.0]), FEATURES))
+    begun = len(tracked)
+    assert begun < 10
+    for stamp in range(10, 20):  # the robot stands
+        assert part.add(ProcessedScan(float(stamp), np.array([0.9, 0.0, 0.0]), FEATURES)) is None
+    assert len(tracked) == begun
+    for stamp in range(20, 20 + 2 * DECIDING_MARGIN):  # it drives where it was all the time
+        part.add(ProcessedScan(float(stamp), np.array([float(stamp), 0.0, 0.0]), FEATURES))
+    assert part.holds

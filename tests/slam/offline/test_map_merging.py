@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -61,6 +62,7 @@ def mapped(messages: Sequence[Message], name: str, directory: Path) -> Path:
     return directory
 
 
+@cache
 def messages_of(name: str) -> list[Message]:
     spec, start = OFFICE[name]
     return [message for message in drivers.open(spec) if message.stamp >= start]
