@@ -20,7 +20,7 @@ from ...geometry.segments import Floats, Integers
 from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, MIN_DEPTH_SIGMAS, trace_sight_lines
 from ...mapping.wall_cells import WALL_CELL
 from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from .exact_test import Votes, exact_p_value
 from .surveys import Survey
 
@@ -84,7 +84,7 @@ def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings
     return Sightings(stretches, cells.lengths(known & (seen >= through)), cells.lengths(known))
 
 
-def covered_share(wall_map: WallMap, stretch: SeenThrough, other: WallMap, motion: se2.Pose, gate: Gate) -> float:
+def covered_share(wall_map: WallGeometry, stretch: SeenThrough, other: WallGeometry, motion: se2.Pose, gate: Gate) -> float:
     """Return the share of a stretch that a wall of another map, which is at `motion`, covers; 1 is all of it.
 
     gate  metres across and radians within which two walls are the same
@@ -109,7 +109,7 @@ class _Cells:
     inner    true for covered cells that are not at an end of an observed piece
     """
 
-    def __init__(self, wall_map: WallMap) -> None:
+    def __init__(self, wall_map: WallGeometry) -> None:
         walls = wall_map.walls
         self._wall_map = wall_map
         self._first = np.floor(walls.low / WALL_CELL).astype(np.int64)
