@@ -278,7 +278,12 @@ def _candidate(kind: ChangeKind, wall_map: WallGeometry, stretch: SeenThrough, m
 
 
 def _unseen(
-    kind: ChangeKind, wall_map: WallGeometry, sightings: Sightings, paired: Integers, found: list[Change], motion: se2.Pose
+    kind: ChangeKind,
+    wall_map: WallGeometry,
+    sightings: Sightings,
+    paired: Integers,
+    found: list[Change],
+    motion: se2.Pose,
 ) -> list[Change]:
     """Return the walls of one map that are not in the other one, and less than half of which its scans have seen."""
     walls = wall_map.walls

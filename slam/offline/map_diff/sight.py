@@ -84,7 +84,9 @@ def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings
     return Sightings(stretches, cells.lengths(known & (seen >= through)), cells.lengths(known))
 
 
-def covered_share(wall_map: WallGeometry, stretch: SeenThrough, other: WallGeometry, motion: se2.Pose, gate: Gate) -> float:
+def covered_share(
+    wall_map: WallGeometry, stretch: SeenThrough, other: WallGeometry, motion: se2.Pose, gate: Gate
+) -> float:
     """Return the share of a stretch that a wall of another map, which is at `motion`, covers; 1 is all of it.
 
     gate  metres across and radians within which two walls are the same

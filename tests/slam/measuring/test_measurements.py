@@ -236,9 +236,7 @@ def test_the_place_of_a_step_does_not_depend_on_the_directions_of_its_walls() ->
     (found,) = find_rooms(plan)
     assert -1 in found.outline.walls
     motion = random.normal(0.0, 1e-4, 10)
-    values = [
-        outline_along(moved(plan, sign * motion), found.outline.stretches).perimeter for sign in (-1.0, 0.0, 1.0)
-    ]
+    values = [outline_along(moved(plan, sign * motion), found.outline.stretches).perimeter for sign in (-1.0, 0.0, 1.0)]
     assert values[1] == found.perimeter
     change = 0.5 * (values[2] - values[0])
     assert found.outline.perimeter_gradient @ motion == pytest.approx(change, rel=1e-3, abs=1e-9)
