@@ -1,18 +1,11 @@
 """Ends of walls as scans have seen them: beside a beam that ends on the wall, the next one passes its line.
 
-An end that a scan shows lies between the places where the beam on the wall and the next one cross the wall's line, as
-far as the scan is in its place along the wall. The scans of a drive determine it as the e of
-
-    prod_k Phi((e - a_k) / s) - Phi((e - b_k) / s)
-
-with the places a_k < b_k, the normal distribution Phi and the unknown standard deviation s of the scans' places. That
-is nearly the intersection of all intervals, and much narrower than each. The ends of a landmark may be others: the
-limit of what was seen, or of what something hides.
+An end that a scan shows lies between the places where both beams cross the wall's line.
+The ends of a landmark may be others: the limit of what was seen, or of what something hides.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -34,13 +27,6 @@ MIN_SCANS = 3
 REACH = 0.5
 # Metres between the places beside an end: beams farther apart do not show it. Origin: chosen, two cells; not measured.
 MAX_WIDTH = 2.0 * WALL_CELL
-# Metres between two places of an end that are compared. Origin: numerical, less than the least standard deviation.
-STEP = 5e-4
-# Metres between which the standard deviation of a scan's place along a wall is, and number of values. Origin:
-# numerical, from better than any lidar to what is no end any more.
-MIN_PLACE_SIGMA, MAX_PLACE_SIGMA, PLACE_SIGMAS = 1e-3, 0.1, 12
-# Probability of an interval that is many deviations away. Origin: numerical, so that its logarithm is finite.
-LEAST_LIKELIHOOD = 1e-12
 # Information per square metre and per square radian that a scan without walls has about its pose, to be invertible.
 # Origin: numerical, a standard deviation of 100 m and of 100 rad.
 LEAST_INFORMATION = 1e-4
@@ -56,7 +42,7 @@ class WallEnd:
     along     metres from its frame
     side      1 if the wall is at smaller distances along, -1 if it is at larger ones
     scans     number of scans that show the end
-    scatter   variance of `along` by what these scans show, square metres
+    scatter   variance of `along` by the scatter of these scans, square metres
     pose      variance of `along` by the noise of the scans' poses relative to the walls, square metres
     gradient  (2 n,) of `along` by offsets and headings of all walls, which determine the poses of the scans
     """
@@ -164,9 +150,15 @@ def _groups(rows: Floats) -> Iterator[Floats]:
 
 
 def _end(survey: Survey, dependences: Mapping[int, _PoseDependence], sightings: Floats) -> WallEnd:
-    """Return an end from its sightings (k, 5)."""
+    """Return an end from its sightings (k, 5), weighted by the distance between the beams beside it."""
     wall, side = sightings[0, 1:3].astype(int).tolist()
-    along, scatter, weight = estimate_end(sightings[:, 3:])
+    middle, width = sightings[:, 3:].mean(axis=1), sightings[:, 4] - sightings[:, 3]
+    resolution = width**2 / 12.0  # variance of the uniform distribution
+    weight = 1.0 / np.maximum(resolution, np.median(resolution))
+    weight /= weight.sum()
+    along = float(weight @ middle)
+    squared = float(weight @ weight)
+    scatter = max(float(weight @ (middle - along) ** 2) * squared / (1.0 - squared), float(weight**2 @ resolution))
     point, normal = survey.wall_map.point(wall, along), survey.wall_map.normal(wall)
     gradient, variance = np.zeros(2 * len(survey.wall_map.walls)), 0.0
     for share, scan in zip(weight.tolist(), sightings[:, 0].astype(int).tolist(), strict=True):
@@ -175,34 +167,6 @@ def _end(survey: Survey, dependences: Mapping[int, _PoseDependence], sightings: 
         gradient += share * (shift @ dependences[scan].by_walls)
         variance += share * float(shift @ dependences[scan].noise @ shift)
     return WallEnd(wall, along, side, len(sightings), scatter, variance, gradient)
-
-
-def estimate_end(places: Floats) -> tuple[float, float, Floats]:
-    """Return the place of an end, its variance, and its derivatives (k,) by the places of the scans.
-
-    places  (k, 2) between which each scan shows the end, metres along the wall
-
-    Mean and variance of the posterior, with uniform prior distributions of the place and of ln s.
-    """
-    from scipy.special import ndtr  # only here: it loads slowly
-
-    low, high = places.min(axis=1), places.max(axis=1)
-    end = np.arange(low.min(), high.max() + STEP, STEP)
-    deviations = np.geomspace(MIN_PLACE_SIGMA, MAX_PLACE_SIGMA, PLACE_SIGMAS)
-    logarithm = np.zeros((len(deviations), len(end)))
-    slopes = np.zeros((len(places), *logarithm.shape))
-    for k, s in enumerate(deviations.tolist()):
-        before, after = (end - low[:, None]) / s, (end - high[:, None]) / s
-        # the difference in the lower tail, where it is not lost by rounding
-        tail = np.where(before + after > 0.0, -1.0, 1.0)
-        share = np.maximum(tail * (ndtr(tail * before) - ndtr(tail * after)), LEAST_LIKELIHOOD)
-        logarithm[k] = np.log(share).sum(axis=0)
-        slopes[:, k] = (np.exp(-0.5 * after**2) - np.exp(-0.5 * before**2)) / (s * math.sqrt(2.0 * math.pi) * share)
-    posterior = np.exp(logarithm - logarithm.max())
-    posterior /= posterior.sum()
-    mean = float((posterior @ end).sum())
-    deviation = posterior * (end - mean)
-    return mean, float((deviation * (end - mean)).sum()) + STEP**2 / 12.0, np.einsum("ske,ke->s", slopes, deviation)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

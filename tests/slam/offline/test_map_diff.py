@@ -47,7 +47,10 @@ SCREEN = [(2.4, 3.4), (2.4, 3.5), (3.6, 3.5), (3.6, 3.4)]
 
 
 def hall(
-    random: np.random.Generator, boxes: Sequence[list[tuple[float, float]]] = (), at: Floats = SAME_FRAME
+    random: np.random.Generator,
+    boxes: Sequence[list[tuple[float, float]]] = (),
+    at: Floats = SAME_FRAME,
+    path: Sequence[Floats] = PATH,
 ) -> Survey:
     """Return the survey of a hall with boxes, in a map that is at a pose in the first one's, with random errors."""
     sides = [wall for polygon in (HALL, *boxes) for wall in room(polygon)]
@@ -65,8 +68,8 @@ def hall(
     plan = replace(plan, covariance=joint, walls=replace(plan.walls, covariance=blocks))
     plan = in_frame(moved(plan, factor @ random.normal(size=len(factor))), at)
     surfaces = np.concatenate([outline(polygon) for polygon in (HALL, *boxes)])
-    points = [np.ascontiguousarray(visible(surfaces, pose)) for pose in PATH]
-    return Survey(cast("StoredSession", None), plan, se2.between(at, np.array(PATH)), points)
+    points = [np.ascontiguousarray(visible(surfaces, pose)) for pose in path]
+    return Survey(cast("StoredSession", None), plan, se2.between(at, np.array(path)), points)
 
 
 def in_frame(plan: WallMap, at: Floats) -> WallMap:
@@ -145,6 +148,27 @@ def test_an_end_that_was_moved_along_its_wall_is_found(random: np.random.Generat
     np.testing.assert_allclose(end.stretches[0], [[3.6, 3.4], [3.6 + longer, 3.4]], atol=0.05)
     assert "longer" in diff_text(found, []) if longer > 0.0 else "shorter" in diff_text(found, [])
     assert found.different
+
+
+@pytest.mark.parametrize("longer", [0.1, -0.1])
+def test_the_jamb_at_an_end_is_not_the_wall_beside_it(random: np.random.Generator, longer: float) -> None:
+    """From beyond an end, beams end on the jamb, at the place of the end: with noise, also where the wall was."""
+    path = [np.array([x, 1.2, 0.3]) for x in np.linspace(0.8, 7.2, 33)]
+    stretched = [(x + longer if x > 3.0 else x, y) for x, y in SCREEN]
+    old, new = hall(random, [SCREEN], path=path), hall(random, [stretched], NEW_MAP_AT, path)
+    found = changes_of(with_noise(random, old), with_noise(random, new))
+    (end,) = [change for change in found.changes if change.kind is ChangeKind.END_MOVED]
+    assert end.through > 10
+    assert end.seen == 0
+
+
+def with_noise(random: np.random.Generator, survey: Survey) -> Survey:
+    """Return a survey with noise of 1 cm in its ranges."""
+    ranges = [np.hypot(points[:, 0], points[:, 1])[:, None] for points in survey.points]
+    noisy = [
+        points * (1.0 + random.normal(0.0, 0.01, r.shape) / r) for points, r in zip(survey.points, ranges, strict=True)
+    ]
+    return replace(survey, points=noisy)
 
 
 def test_ends_that_something_hides_are_not_ends(random: np.random.Generator) -> None:
