@@ -116,6 +116,7 @@ def test_differences_at_displaced_walls_are_found_and_others_are_blamed() -> Non
     others = nearest(plan, content.walls[0]), nearest(built, content.walls[0])
     assert scored() == (1, 0, 0)
     assert scored(Change(ChangeKind.MOVED, old, new, nowhere)) == (1, 1, 0)
+    assert scored(Change(ChangeKind.MOVED, others[0], new, nowhere)) == (1, 1, 1)  # the right place, another wall
     assert scored(Change(ChangeKind.GONE, old, None, nowhere)) == (1, 1, 0)
     assert scored(Change(ChangeKind.NEW, None, new, nowhere)) == (1, 1, 0)
     assert scored(Change(ChangeKind.GONE, others[0], None, nowhere)) == (1, 0, 1)
