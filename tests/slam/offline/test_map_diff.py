@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +18,9 @@ from drivers import se2
 from drivers.simulation.world import load_world
 from slam.geometry.segments import Floats
 from slam.io.sessions import StoredSession
+from slam.mapping.map_features import MapWalls
 from slam.mapping.plan import Plan
-from slam.mapping.plan_map import build_plan_map
+from slam.mapping.plan_map import PlanMap, build_plan_map
 from slam.measuring.wall_map import WallMap
 from slam.offline.map_diff import ChangeKind, MapDiff, Survey
 from slam.offline.map_diff.changes import benjamini_hochberg, find_changes, find_pairs
@@ -214,6 +216,22 @@ def test_a_wall_that_a_plan_hides_has_not_moved_from_what_hides_it(random: np.ra
     found = find_changes(plan, hall(random, [BOX]), np.zeros(3), RATE)
     moved = [change.shift for change in found.changes if change.kind is ChangeKind.MOVED]
     assert moved == ([] if hides else [pytest.approx(-0.27, abs=0.02)])
+
+
+def test_a_large_plan_needs_no_joint_covariance_of_its_walls() -> None:
+    count = 5000
+    rows, zeros = np.arange(count), np.zeros(count)
+    frames = np.column_stack([rows, zeros, zeros])
+    pieces = tuple(np.array([[-0.4, 0.4]]) for _ in range(count))
+    blocks = np.tile(np.diag([9e-4, 2.5e-5]), (count, 1, 1))
+    walls = MapWalls(rows, frames, zeros - 0.4, zeros + 0.4, np.ones(count, dtype=np.int64), blocks, pieces)
+    plan = Plan("long", np.zeros((1, 2, 2)), np.zeros(1, dtype=bool), 1e-3)
+    tracemalloc.start()
+    survey = survey_plan(PlanMap(plan, walls, np.zeros((0, 2, 2)), ()))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 20e6  # bytes; the joint covariance would have 800 million
+    np.testing.assert_array_equal(survey.wall_map.joint_covariance(np.array([7, 3])), np.diag([9e-4, 2.5e-5] * 2))
 
 
 def test_false_discoveries_are_controlled(random: np.random.Generator) -> None:
