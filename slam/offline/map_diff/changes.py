@@ -302,5 +302,4 @@ def _unseen(
 
 def _stretches(walls: MapWalls, row: int, motion: se2.Pose) -> Floats:
     """Return the end points (k, 2, 2) of the pieces of a wall, in the old map's frame."""
-    points, of_wall = walls.piece_points()
-    return np.asarray(se2.transform(motion, points[of_wall == row]))
+    return np.asarray(se2.transform(motion, walls.piece_points_of(row)))
