@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..config import Config
     from ..io.plans.units import Unit
     from ..mapping.plan_map import PlanMap
-    from ..measuring.wall_map import WallMap
+    from ..measuring.wall_map import WallGeometry
     from ..offline.map_diff import MapDiff
     from ..pipeline import Slam
 
@@ -77,8 +77,8 @@ class PlanReport:
 
     summary: dict[str, Any]
     differences: MapDiff | None
-    plan: WallMap | None = None
-    built: WallMap | None = None
+    plan: WallGeometry | None = None
+    built: WallGeometry | None = None
 
     def write(self, directory: Path) -> None:
         """Write the differences as GeoJSON and as a picture into the output directory. Raises OSError."""

@@ -43,6 +43,11 @@ class MapWalls:
         wall = np.repeat(np.arange(len(self)), [len(pieces) for pieces in self.pieces])
         return _along(self.frame[wall], np.concatenate([np.zeros((0, 2)), *self.pieces])), wall
 
+    def piece_points_of(self, row: int) -> Floats:
+        """Return both end points (k, 2, 2) of each piece of one wall (row) in the map, metres."""
+        pieces = self.pieces[row]
+        return _along(np.tile(self.frame[row], (len(pieces), 1)), pieces)
+
 
 def _along(frame: Floats, extent: Floats) -> Floats:
     """Return the points (n, 2, 2) at two distances (n, 2) along the x axes of frames (n, 3)."""

@@ -155,6 +155,8 @@ def _on_line(pieces: Floats, heading: Floats, left: NDArray[np.bool_], first: in
 def _line_through(pieces: Floats, length: Floats, heading: float) -> se2.Pose:
     """Return a frame on the line through pieces (k, 2, 2), weighted by their length, nearly along a heading."""
     points, weight = pieces.reshape(-1, 2), np.repeat(length, 2)
+    if len(pieces) == 1:  # most pieces of a large plan
+        return np.array([*points.mean(axis=0).tolist(), heading])
     middle = np.average(points, axis=0, weights=weight)
     scatter = (points - middle).T @ (weight[:, None] * (points - middle))
     axis = np.linalg.eigh(scatter)[1][:, 1]

@@ -22,7 +22,7 @@ LABEL_ASPECT = 6.0
 class Outline:
     """A closed outline of v vertices.
 
-    stretches  of walls, in their order
+    stretches  of walls, in their order; beside a step they end where it is
     walls      row of the wall that each side from a vertex to the next one lies on; -1 for a step between two walls
     vertices   (v, 2) in the map, counter-clockwise around a room, clockwise around an island
     jacobian   (v, 2, 2 n) of the vertices by offset and heading of the walls
@@ -200,26 +200,36 @@ def build_outline(wall_map: WallMap, stretches: Sequence[Stretch]) -> Outline | 
 def outline_along(wall_map: WallMap, stretches: Sequence[Stretch]) -> Outline:
     """Return the outline along stretches of walls: they meet at their intersection, or parallel ones at a step.
 
-    A step is in the middle of the gap between two parallel walls, which is a place by definition. One to a stretch that
-    is marked as stepped leads from end to end.
+    A step that is not marked is in the middle of the gap between two parallel walls. The places of steps along the
+    walls are definitions: they stay the same if the walls move, and are in the stretches of the outline.
     """
+    between_steps = _place_steps(wall_map, stretches)
     rows: list[int] = []
     vertices: list[Floats] = []
     jacobian: list[Floats] = []
-    for before, stretch in zip([stretches[-1], *stretches[:-1]], stretches, strict=True):
-        if not stretch.stepped and not are_parallel(wall_map, before.wall, stretch.wall):
+    for before, stretch in zip([between_steps[-1], *between_steps[:-1]], between_steps, strict=True):
+        if not stretch.stepped:
             point, of_point = wall_map.intersection(before.wall, stretch.wall)
             rows, vertices, jacobian = [*rows, stretch.wall], [*vertices, point], [*jacobian, of_point]
             continue
-        along, low = before.high, stretch.low
-        if not stretch.stepped:
-            along = 0.5 * (along + wall_map.along(before.wall, wall_map.point(stretch.wall, low)))
-            low = wall_map.along(stretch.wall, wall_map.point(before.wall, along))
-        for row, place in ((before.wall, along), (stretch.wall, low)):
+        for row, place in ((before.wall, before.high), (stretch.wall, stretch.low)):
             vertices.append(wall_map.point(row, place))
             jacobian.append(np.outer(wall_map.normal(row), wall_map.shift(row, place)))
         rows += [-1, stretch.wall]
-    return Outline(stretches, rows, np.array(vertices), np.array(jacobian))
+    return Outline(between_steps, rows, np.array(vertices), np.array(jacobian))
+
+
+def _place_steps(wall_map: WallMap, stretches: Sequence[Stretch]) -> list[Stretch]:
+    """Return stretches of an outline with a marked step between each two parallel ones."""
+    placed = list(stretches)
+    for k, stretch in enumerate(stretches):
+        before = stretches[k - 1]
+        if not stretch.stepped and are_parallel(wall_map, before.wall, stretch.wall):
+            end = 0.5 * (before.high + wall_map.along(before.wall, wall_map.point(stretch.wall, stretch.low)))
+            start = wall_map.along(stretch.wall, wall_map.point(before.wall, end))
+            placed[k - 1] = placed[k - 1]._replace(high=end)
+            placed[k] = placed[k]._replace(low=start, stepped=True)
+    return placed
 
 
 def _observed_length(wall_map: WallMap, outline: Outline) -> float:

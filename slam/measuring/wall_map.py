@@ -8,25 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import MapError
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..geometry.wall_intersection import intersect_walls
 from ..mapping.map_features import MapCorners, MapWalls
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WallMap:
-    """n walls of a map with their joint covariance, its m corners, and the path that was driven.
+class WallGeometry:
+    """n walls of a map, whose errors are independent, and its m corners.
 
     walls       the walls
     corners     the corners
-    covariance  (2 n, 2 n) of offset across (metres) and heading (radians) of each wall at its frame
-    path        (k, 2) driven positions in the map, metres
     """
 
     walls: MapWalls
     corners: MapCorners
-    covariance: Floats
-    path: Floats
 
     def row(self, identity: int) -> int:
         """Return the row of a wall. Raises MapError if the map has no such wall."""
@@ -37,7 +33,16 @@ class WallMap:
 
     def sigma(self, gradient: Floats) -> float:
         """Return the standard deviation of a quantity with this gradient (2 n,) by the walls' offsets and headings."""
-        return math.sqrt(max(float(gradient @ self.covariance @ gradient), 0.0))
+        rows = np.flatnonzero(gradient.reshape(-1, 2).any(axis=1))
+        part = gradient.reshape(-1, 2)[rows].ravel()
+        return math.sqrt(max(float(part @ self.joint_covariance(rows) @ part), 0.0))
+
+    def joint_covariance(self, rows: Integers) -> Floats:
+        """Return the covariance (2 k, 2 k) of offset across (metres) and heading (radians) of k walls (rows)."""
+        place = np.arange(len(rows))
+        blocks = np.zeros((len(rows), 2, len(rows), 2))
+        blocks[place, :, place, :] = self.walls.covariance[rows]
+        return blocks.reshape(2 * len(rows), 2 * len(rows))
 
     def point(self, row: int, along: float) -> Floats:
         """Return the point (2,) of a wall some metres along it from its frame."""
@@ -56,20 +61,37 @@ class WallMap:
 
     def shift(self, row: int, along: float) -> Floats:
         """Return the gradient (2 n,) of a wall's shift across itself, some metres along it."""
-        gradient = np.zeros(len(self.covariance))
+        gradient = np.zeros(2 * len(self.walls))
         gradient[2 * row : 2 * row + 2] = 1.0, along
         return gradient
 
     def turn(self, row: int) -> Floats:
         """Return the gradient (2 n,) of a wall's heading."""
-        gradient = np.zeros(len(self.covariance))
+        gradient = np.zeros(2 * len(self.walls))
         gradient[2 * row + 1] = 1.0
         return gradient
 
     def intersection(self, first: int, second: int) -> tuple[Floats, Floats]:
         """Return the intersection (2,) of the lines of two walls, and its Jacobian (2, 2 n); they are not parallel."""
         point, of_both = intersect_walls(self.walls.frame[first], self.walls.frame[second])
-        jacobian = np.zeros((2, len(self.covariance)))
+        jacobian = np.zeros((2, 2 * len(self.walls)))
         jacobian[:, 2 * first : 2 * first + 2] = of_both[:, :2]
         jacobian[:, 2 * second : 2 * second + 2] = of_both[:, 2:]
         return point, jacobian
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WallMap(WallGeometry):
+    """n walls of a map with their joint covariance, its m corners, and the path that was driven.
+
+    covariance  (2 n, 2 n) of offset across (metres) and heading (radians) of each wall at its frame
+    path        (k, 2) driven positions in the map, metres
+    """
+
+    covariance: Floats
+    path: Floats
+
+    def joint_covariance(self, rows: Integers) -> Floats:
+        """Return the covariance (2 k, 2 k) of offset across (metres) and heading (radians) of k walls (rows)."""
+        columns = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
+        return np.asarray(self.covariance[np.ix_(columns, columns)])

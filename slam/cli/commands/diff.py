@@ -64,7 +64,7 @@ def diff(
         if path is not None and path.suffix != suffix:
             raise OutputError(f"{path}: the name must end with {suffix}")
     guess = parse_pose(at, "--at")
-    earlier, later = _surveys(old, new, PlanOptions(old, plan_unit, plan_layer or ()))
+    earlier, later = _surveys(old, new, PlanOptions(old, plan_unit, plan_layer or ()), guess is None)
     try:
         found = compare(earlier, later, false_discovery_rate, guess)
     except MapError as error:
@@ -79,14 +79,14 @@ def diff(
     typer.echo(diff_text(found, corners))
     if shared := shared_scans(earlier, later):
         print_message(
-            f"{shared} of the {len(later.session.scans)} scans of {new} are also in {old}: differences that rest on "
-            "them show the estimate, not the building; compare maps of separate drives"
+            f"{shared} scans of {new} are also in {old}: differences that rest on them show the estimate, not the "
+            "building; compare maps of separate drives"
         )
     if found.different:
         raise typer.Exit(EXIT_DIFFERENT)
 
 
-def _surveys(old: Path, new: Path, on_plan: PlanOptions) -> tuple[Survey, Survey]:
+def _surveys(old: Path, new: Path, on_plan: PlanOptions, searched: bool) -> tuple[Survey, Survey]:
     """Read the old map, which may be a plan, and the new one. Raises SlamError."""
     from ...config import load_config
     from ...io.output_dir import CONFIG
@@ -99,5 +99,6 @@ def _surveys(old: Path, new: Path, on_plan: PlanOptions) -> tuple[Survey, Survey
     with print_if_slow(READING_SESSION):
         later = survey_session(new, read_session(new))
         if is_plan(old):
-            return survey_plan(load_plan(old, on_plan, load_config(new / CONFIG))), later
+            plan_map = load_plan(old, on_plan, load_config(new / CONFIG))
+            return survey_plan(plan_map, searched=searched), later
         return survey_session(old, read_session(old)), later

@@ -61,16 +61,18 @@ class CoverageRow:
 def measure_drives(seeds: Iterable[int], world: str, duration: float | None) -> Iterator[MeasuredDrive]:
     """Yield the errors of each simulated drive; `duration` in seconds, None for the whole path."""
     for seed in seeds:
-        drive = Simulation(world, seed, duration)
-        slam = Slam()
-        for message in drive:
-            slam.add(message)
-        finished = slam.finish()
-        mapper = slam.slam_state.mapper
-        covariance = joint_wall_covariance(mapper, finished.walls)
-        wall_map = WallMap(finished.walls, finished.corners, covariance, finished.keyframes[:, :2])
-        truth, known = true_map(wall_map, drive.world, drive.trajectory.poses_at(finished.keyframe_stamps[:1])[0])
-        yield MeasuredDrive(_errors(wall_map, truth, known))
+        yield MeasuredDrive(_errors(*map_drive(Simulation(world, seed, duration))))
+
+
+def map_drive(drive: Simulation) -> tuple[WallMap, WallMap, frozenset[int]]:
+    """Map a simulated drive; return the map, and what `true_map` returns of it."""
+    slam = Slam()
+    for message in drive:
+        slam.add(message)
+    finished = slam.finish()
+    covariance = joint_wall_covariance(slam.slam_state.mapper, finished.walls)
+    wall_map = WallMap(finished.walls, finished.corners, covariance, finished.keyframes[:, :2])
+    return wall_map, *true_map(wall_map, drive.world, drive.trajectory.poses_at(finished.keyframe_stamps[:1])[0])
 
 
 def true_map(wall_map: WallMap, world: World, origin: se2.Pose) -> tuple[WallMap, frozenset[int]]:

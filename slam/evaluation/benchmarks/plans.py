@@ -166,9 +166,10 @@ def score(
     seen = {k for k, rows in enumerate(is_true) if lengths[rows].sum() >= MIN_SEEN}
     named, blamed = set[int](), 0
     for report in reports:
-        if report.kind is ChangeKind.NEW:
+        if report.new is not None:  # a moved wall may be taken for another one of the plan that is nearer
             row = built.identity == report.new
             named |= {k for k, rows in enumerate(is_true) if rows[row].any()}
+        if report.kind is ChangeKind.NEW:
             blamed += not new[row].any()
         else:
             row = plan.identity == report.old

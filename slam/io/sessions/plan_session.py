@@ -67,6 +67,8 @@ def _checkpoint(view: PlanView, keyframe: int, links: list[tuple[int, int]]) -> 
 
 def _links(positions: Floats) -> list[tuple[int, int]]:
     """Return the pairs of views that are near each other and therefore show the same surfaces."""
-    distance = np.hypot(*(positions[:, None] - positions[None]).T)
-    first, second = np.nonzero(np.triu(distance < REFERENCE_DISTANCE, k=2))
-    return list(zip(first.tolist(), second.tolist(), strict=True))
+    from scipy.spatial import cKDTree  # only here: it loads slowly
+
+    pairs = cKDTree(positions).query_pairs(REFERENCE_DISTANCE, output_type="ndarray")
+    pairs = pairs[pairs[:, 1] - pairs[:, 0] > 1]
+    return [(first, second) for first, second in pairs[np.lexsort(pairs.T[::-1])].tolist()]

@@ -13,7 +13,7 @@ from drivers import se2
 
 from ...geometry.segments import Floats, Integers
 from ...mapping.map_features import MapWalls
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from ..wall_alignment import MIN_SHARED, common_walls
 from .end_shifts import EndShift, find_end_shifts
 from .movement import Movements, find_movements
@@ -160,7 +160,7 @@ def find_changes(
     return MapDiff([*found, *unseen], motion, len(paired) - moved, tests, movements.scale)
 
 
-def _without_bridged(sightings: Sightings, old: WallMap, new: WallMap, motion: se2.Pose) -> Sightings:
+def _without_bridged(sightings: Sightings, old: WallGeometry, new: WallGeometry, motion: se2.Pose) -> Sightings:
     """Return the sightings without stretches that both maps cover with a line, as they do across doors."""
     gate = SAME_SHIFT, SAME_TURN
     kept = [one for one in sightings.stretches if covered_share(old, one, new, motion, gate) < MIN_BRIDGED]
@@ -223,7 +223,7 @@ def benjamini_hochberg(p_values: Floats, tests: int, rate: float) -> np.ndarray[
     return significant
 
 
-def _moved(old: WallMap, new: WallMap, movements: Movements) -> list[Change]:
+def _moved(old: WallGeometry, new: WallGeometry, movements: Movements) -> list[Change]:
     ends = [_stretches(old.walls, row, np.zeros(3)) for row in movements.pairs[:, 0].tolist()]
     return [
         Change(
@@ -240,7 +240,7 @@ def _moved(old: WallMap, new: WallMap, movements: Movements) -> list[Change]:
     ]
 
 
-def _ends_moved(old: WallMap, new: WallMap, shifts: list[EndShift]) -> list[Change]:
+def _ends_moved(old: WallGeometry, new: WallGeometry, shifts: list[EndShift]) -> list[Change]:
     return [
         Change(
             ChangeKind.END_MOVED,
@@ -257,12 +257,12 @@ def _ends_moved(old: WallMap, new: WallMap, shifts: list[EndShift]) -> list[Chan
     ]
 
 
-def _seen_through(kind: ChangeKind, wall_map: WallMap, sightings: Sightings, motion: se2.Pose) -> list[Change]:
+def _seen_through(kind: ChangeKind, wall_map: WallGeometry, sightings: Sightings, motion: se2.Pose) -> list[Change]:
     """Return a candidate for each stretch that was seen through; `motion` leads from its map to the old one."""
     return [_candidate(kind, wall_map, stretch, motion) for stretch in sightings.stretches]
 
 
-def _candidate(kind: ChangeKind, wall_map: WallMap, stretch: SeenThrough, motion: se2.Pose) -> Change:
+def _candidate(kind: ChangeKind, wall_map: WallGeometry, stretch: SeenThrough, motion: se2.Pose) -> Change:
     identity = int(wall_map.walls.identity[stretch.wall])
     ends = np.array([[wall_map.point(stretch.wall, along) for along in stretch.span]])
     gone = kind is ChangeKind.GONE
@@ -278,7 +278,12 @@ def _candidate(kind: ChangeKind, wall_map: WallMap, stretch: SeenThrough, motion
 
 
 def _unseen(
-    kind: ChangeKind, wall_map: WallMap, sightings: Sightings, paired: Integers, found: list[Change], motion: se2.Pose
+    kind: ChangeKind,
+    wall_map: WallGeometry,
+    sightings: Sightings,
+    paired: Integers,
+    found: list[Change],
+    motion: se2.Pose,
 ) -> list[Change]:
     """Return the walls of one map that are not in the other one, and less than half of which its scans have seen."""
     walls = wall_map.walls
@@ -297,5 +302,4 @@ def _unseen(
 
 def _stretches(walls: MapWalls, row: int, motion: se2.Pose) -> Floats:
     """Return the end points (k, 2, 2) of the pieces of a wall, in the old map's frame."""
-    points, of_wall = walls.piece_points()
-    return np.asarray(se2.transform(motion, points[of_wall == row]))
+    return np.asarray(se2.transform(motion, walls.piece_points_of(row)))

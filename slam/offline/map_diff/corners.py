@@ -11,7 +11,7 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...geometry.wall_intersection import MIN_SINE
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from .changes import Change, ChangeKind, MapDiff
 
 # Metres by which a corner may be beyond the stretch that is gone or new. Origin: chosen, the margin at the ends of a
@@ -35,12 +35,12 @@ class CornerChange:
     shift: Floats
 
 
-def corner_changes(diff: MapDiff, old: WallMap, new: WallMap) -> list[CornerChange]:
+def corner_changes(diff: MapDiff, old: WallGeometry, new: WallGeometry) -> list[CornerChange]:
     """Return the changes of corners that follow from those of the walls."""
     return [*_of_old_map(diff, old), *_on_stretches(diff, new, ChangeKind.NEW, diff.motion)]
 
 
-def _of_old_map(diff: MapDiff, old: WallMap) -> Iterator[CornerChange]:
+def _of_old_map(diff: MapDiff, old: WallGeometry) -> Iterator[CornerChange]:
     gone = list(_on_stretches(diff, old, ChangeKind.GONE, np.zeros(3)))
     yield from gone
     done = {change.identity for change in gone}
@@ -55,7 +55,7 @@ def _of_old_map(diff: MapDiff, old: WallMap) -> Iterator[CornerChange]:
                 yield CornerChange(ChangeKind.MOVED, identity, position, shift)
 
 
-def _displacement(old: WallMap, walls: Sequence[int], moves: Sequence[Change | None]) -> Floats | None:
+def _displacement(old: WallGeometry, walls: Sequence[int], moves: Sequence[Change | None]) -> Floats | None:
     """Return the displacement (2,) of the intersection of two walls, each of which may have moved; None if parallel."""
     if not set(walls) <= set(old.walls.identity.tolist()):
         return None
@@ -65,7 +65,7 @@ def _displacement(old: WallMap, walls: Sequence[int], moves: Sequence[Change | N
     return np.linalg.solve(normals, np.array([0.0 if move is None else move.shift for move in moves]))
 
 
-def _on_stretches(diff: MapDiff, wall_map: WallMap, kind: ChangeKind, motion: se2.Pose) -> Iterator[CornerChange]:
+def _on_stretches(diff: MapDiff, wall_map: WallGeometry, kind: ChangeKind, motion: se2.Pose) -> Iterator[CornerChange]:
     """Yield the corners of a map on stretches that are gone or new; `motion` leads from its frame to the old map's."""
     corners = wall_map.corners
     places = se2.transform(motion, corners.position).reshape(-1, 2)

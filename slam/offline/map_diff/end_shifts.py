@@ -103,8 +103,8 @@ class _TwoMaps:
 
     def votes(self, matched: Sequence[tuple[WallEnd, WallEnd]]) -> tuple[list[Votes], list[Votes]]:
         """Return how the scans of both drives see the wall between both places of each pair of ends."""
-        in_old = [(one.wall, one.along, self.along_old(two, one.wall)) for one, two in matched]
-        in_new = [(two.wall, self.along_new(one, two.wall), two.along) for one, two in matched]
+        in_old = [(one.wall, one.side, one.along, self.along_old(two, one.wall)) for one, two in matched]
+        in_new = [(two.wall, two.side, self.along_new(one, two.wall), two.along) for one, two in matched]
         return _votes(self.old, np.array(in_old)), _votes(self.new, np.array(in_new))
 
     def _along_old(self, end: WallEnd, wall: int, motion: se2.Pose) -> float:
@@ -150,10 +150,13 @@ def _shift(
 def _votes(survey: Survey, spans: Floats) -> list[Votes]:
     """Return how many scans of a survey see through stretches of walls' lines, and how many see the walls there.
 
-    spans  (k, 3) row of the wall, and the ends of the stretch in metres along it, in either order
+    spans  (k, 4) row of the wall, side of its end as in `WallEnd`, and the ends of the stretch in metres along it, in
+           either order
+
+    Only scans that look along the wall towards its end count: from the other side, the jamb is near the wall's line.
     """
-    walls, wall = survey.wall_map.walls, spans[:, 0].astype(np.int64)
-    low, high = np.sort(spans[:, 1:], axis=1).T[..., None]
+    walls, (wall, side) = survey.wall_map.walls, spans[:, :2].astype(np.int64).T
+    low, high = np.sort(spans[:, 2:], axis=1).T
     chosen = np.unique(wall)
     votes = np.zeros((len(spans), 2), dtype=np.int64)
     for pose, points in zip(survey.poses, survey.points, strict=True):
@@ -161,9 +164,11 @@ def _votes(survey: Survey, spans: Floats) -> list[Votes]:
         row_of = np.full(len(walls), -1)
         row_of[scan.rows] = np.arange(len(scan.rows))
         in_front = np.flatnonzero(row_of[wall] >= 0)
+        eye = scan.eye[row_of[wall[in_front]]]
+        in_front = in_front[np.where(side[in_front] > 0, low[in_front] - eye, eye - high[in_front]) > 0.0]
         row = row_of[wall[in_front]]
-        inside = (scan.place[row] > low[in_front]) & (scan.place[row] < high[in_front])
-        crossed, hit = (scan.steep[row] & inside).sum(axis=1), (scan.on[row] & inside).sum(axis=1)
+        inside = (scan.place[row] > low[in_front, None]) & (scan.place[row] < high[in_front, None])
+        crossed, hit = (scan.through[row] & inside).sum(axis=1), (scan.on[row] & inside).sum(axis=1)
         votes[in_front, 0] += crossed > hit
         votes[in_front, 1] += (hit > 0) & (hit >= crossed)
     return [Votes(*counts) for counts in votes.tolist()]

@@ -1,6 +1,6 @@
 """Ends of walls as scans have seen them: beside a beam that ends on the wall, the next one passes its line.
 
-An end that a scan shows lies between the point on the wall and the place where the next beam crosses the wall's line.
+An end that a scan shows lies between the places where both beams cross the wall's line.
 The ends of a landmark may be others: the limit of what was seen, or of what something hides.
 """
 
@@ -16,7 +16,7 @@ from drivers import se2
 
 from ...geometry.segments import Floats, Integers
 from ...mapping.map_features import MapWalls
-from ...mapping.sight_lines import MIN_CROSSING_SINE, MIN_DEPTH
+from ...mapping.sight_lines import MIN_DEPTH
 from ...mapping.wall_cells import ON_WALL_DISTANCE, WALL_CELL
 from .surveys import Survey
 
@@ -63,10 +63,9 @@ class WallsOfScan:
     rows    (w,) of the walls that the scan is in front of
     eye     (w,) metres of the viewpoint along each wall
     across  (w, p) metres of the points from the wall's line, towards the side that it is seen from
-    place   (w, p) metres along the wall of points on it, and of where beams that end behind it cross its line
+    place   (w, p) metres along the wall of where beams that end on or behind it cross its line; of the other points
     on      (w, p) true for points on the wall
     through (w, p) true for beams that end clearly behind it
-    steep   (w, p) true for those of them that cross it at a steep angle
     """
 
     rows: Integers
@@ -75,7 +74,6 @@ class WallsOfScan:
     place: Floats
     on: NDArray[np.bool_]
     through: NDArray[np.bool_]
-    steep: NDArray[np.bool_]
 
 
 def walls_of_scan(walls: MapWalls, pose: se2.Pose, points: Floats, chosen: Integers | None = None) -> WallsOfScan:
@@ -96,11 +94,11 @@ def walls_of_scan(walls: MapWalls, pose: se2.Pose, points: Floats, chosen: Integ
     ahead, rise = cosine * points[:, 0] - sine * points[:, 1], sine * points[:, 0] + cosine * points[:, 1]
     across = eye[:, 1:2] + rise
     on, through = np.abs(across) < ON_WALL_DISTANCE, across < -MIN_DEPTH
-    share = np.where(through, -eye[:, 1:2] / np.where(through, rise, 1.0), 1.0)
+    crosses = on | through  # the noise of a range is mostly along the wall if it is seen at a small angle
+    share = np.where(crosses, -eye[:, 1:2] / np.where(crosses, rise, 1.0), 1.0)
     place = eye[:, :1] + share * ahead
     near = (place > low[rows][:, None] - REACH) & (place < high[rows][:, None] + REACH)
-    steep = through & near & (-rise >= MIN_CROSSING_SINE * np.hypot(ahead, rise))
-    return WallsOfScan(number[rows], eye[:, 0], across, place, on & near, through & near, steep)
+    return WallsOfScan(number[rows], eye[:, 0], across, place, on & near, through & near)
 
 
 def find_ends(survey: Survey, chosen: Integers) -> list[WallEnd]:

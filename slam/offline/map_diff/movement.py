@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...geometry.segments import Floats, Integers
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from ..wall_alignment import numerical_jacobian, shared_points, wall_differences
 
 # Median of the chi-square distribution with 2 dof: -2 ln 0.5. Origin: chi-square, 2 dof, 50 %.
@@ -55,7 +55,7 @@ class Movements:
 
 
 def find_movements(
-    old: WallMap, new: WallMap, pairs: Integers, motion: se2.Pose, unmoved: NDArray[np.bool_] | None = None
+    old: WallGeometry, new: WallGeometry, pairs: Integers, motion: se2.Pose, unmoved: NDArray[np.bool_] | None = None
 ) -> Movements:
     """Return the movements of pairs (n, 2) of walls.
 
@@ -97,12 +97,11 @@ def _squared(rest: Floats, covariance: Floats) -> tuple[Floats, Floats]:
     return squared, np.sqrt(np.einsum("nii->ni", blocks))
 
 
-def _at_points(wall_map: WallMap, rows: Integers, points: Floats) -> Floats:
+def _at_points(wall_map: WallGeometry, rows: Integers, points: Floats) -> Floats:
     """Return the joint covariance (2 n, 2 n) of offset and heading of walls (n,), each `points` (n,) metres along."""
     walls, own = np.unique(rows, return_inverse=True)  # few of the walls of a large plan
-    columns = np.column_stack([2 * walls, 2 * walls + 1]).ravel()
     by_walls = levers(len(walls), own, points)
-    return np.asarray(by_walls @ wall_map.covariance[np.ix_(columns, columns)] @ by_walls.T)
+    return np.asarray(by_walls @ wall_map.joint_covariance(walls) @ by_walls.T)
 
 
 def levers(count: int, rows: Integers, points: Floats) -> Floats:

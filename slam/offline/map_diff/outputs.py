@@ -15,7 +15,7 @@ from drivers import se2
 
 from ...geometry.segments import Floats
 from ...io.exports.scale_bar import SCALE_BAR_STYLE, draw_scale_bar
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from .changes import DIFFERENCES, Change, ChangeKind, MapDiff
 from .corners import CornerChange
 
@@ -138,7 +138,7 @@ def _number(value: float) -> float | None:
     return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
-def write_diff_svg(path: Path, diff: MapDiff, old: WallMap, new: WallMap) -> None:
+def write_diff_svg(path: Path, diff: MapDiff, old: WallGeometry, new: WallGeometry) -> None:
     """Draw both maps: grey walls are in both, orange ones only in the old map, blue ones only in the new one.
 
     Dotted walls are in one map only, but nothing shows that they are gone or new.
@@ -165,12 +165,12 @@ def write_diff_svg(path: Path, diff: MapDiff, old: WallMap, new: WallMap) -> Non
     path.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _in_old(new: WallMap, motion: se2.Pose) -> Floats:
+def _in_old(new: WallGeometry, motion: se2.Pose) -> Floats:
     """Return the end points (k, 2, 2) of the new walls' pieces in the old map's frame."""
     return np.asarray(se2.transform(motion, new.walls.piece_points()[0]))
 
 
-def _walls(diff: MapDiff, old: WallMap, new: WallMap) -> Iterator[str]:
+def _walls(diff: MapDiff, old: WallGeometry, new: WallGeometry) -> Iterator[str]:
     """Yield the walls of the old map, and those of the new one that were not seen before."""
     classes = {change.old: "unseen" for change in diff.changes if change.kind is ChangeKind.NOT_SEEN_AGAIN}
     points, wall = old.walls.piece_points()
@@ -184,7 +184,7 @@ def _walls(diff: MapDiff, old: WallMap, new: WallMap) -> Iterator[str]:
             yield _path("unseen", ends, f"new wall {identity}")
 
 
-def _differences(diff: MapDiff, new: WallMap) -> Iterator[str]:
+def _differences(diff: MapDiff, new: WallGeometry) -> Iterator[str]:
     """Yield the old places of walls in one colour and the new ones in the other; of moved walls the shift as text.
 
     Of a moved end, the stretch by which the wall is longer or shorter is drawn.

@@ -11,7 +11,7 @@ from ...io.sessions.plan_session import plan_session
 from ...io.wall_maps import settled_wall_map
 from ...mapping.map_features import MapCorners
 from ...mapping.plan_map import PlanMap
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from .changes import MapDiff, find_changes
 from .surveys import Survey, survey_settled
 
@@ -23,26 +23,24 @@ FALSE_DISCOVERY_RATE = 0.05
 """Accepted share of false ones among the differences that a run reports."""
 
 
-def survey_plan(plan_map: PlanMap) -> Survey:
+def survey_plan(plan_map: PlanMap, *, searched: bool = False) -> Survey:
     """Return a plan as the survey of an earlier map, in which the errors of walls are independent. Raises MapError.
+
+    searched  true if a map may have to be searched for in it, for which it needs a session
 
     Lines that are seen from one side are those of a map.
     """
-    walls, count = plan_map.walls, np.arange(len(plan_map.walls))
-    covariance = np.zeros((len(walls), 2, len(walls), 2))
-    covariance[count, :, count, :] = walls.covariance
     poses = np.array([view.pose for view in plan_map.views]).reshape(-1, 3)
-    joint = covariance.reshape(2 * len(walls), 2 * len(walls))
     points = [np.ascontiguousarray(view.points) for view in plan_map.views]
-    wall_map = WallMap(walls, NO_CORNERS, joint, poses[:, :2])
     bridging = bool(plan_map.plan.one_sided.all())
     # of a wall that is drawn as two lines, the inner sides are hidden, but no walls
     hidden = plan_map.hidden if bridging else None
-    session = plan_session(plan_map, Config())
-    return Survey(session, wall_map, poses, points, scanned=False, bridging=bridging, hidden=hidden)
+    session = plan_session(plan_map, Config()) if searched else None
+    walls = WallGeometry(plan_map.walls, NO_CORNERS)
+    return Survey(session, walls, poses, points, scanned=False, bridging=bridging, hidden=hidden)
 
 
-def compare_with_plan(plan: Survey, state: SlamState, session: StoredSession) -> tuple[MapDiff, WallMap]:
+def compare_with_plan(plan: Survey, state: SlamState, session: StoredSession) -> tuple[MapDiff, WallGeometry]:
     """Compare the finished map of a run, which is in the plan's frame, with the plan; return its walls, too.
 
     plan     from `survey_plan`

@@ -18,9 +18,9 @@ from drivers import se2
 
 from ...geometry.segments import Floats, Integers
 from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, MIN_DEPTH_SIGMAS, trace_sight_lines
-from ...mapping.wall_cells import WALL_CELL
+from ...mapping.wall_cells import ON_WALL_DISTANCE, WALL_CELL
 from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from .exact_test import Votes, exact_p_value
 from .surveys import Survey
 
@@ -70,9 +70,11 @@ def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings
     Only cells count that the owner's own scans saw: a line fitted to what is on both sides of a door covers the door.
     """
     cells = _Cells(owner.wall_map)
-    own_through, own_seen = cells.counts(owner, np.zeros(3))
+    through, seen = cells.counts(survey, motion, np.arange(len(owner.wall_map.walls)))
+    looked_at = np.unique(cells.wall[through + seen > 0])  # few of the walls of a large plan
+    own_through, own_seen = cells.counts(owner, np.zeros(3), looked_at)
     cells.restrict(own_seen > own_through)
-    through, seen = cells.counts(survey, motion)
+    through, seen = np.where(cells.inner, through, 0), np.where(cells.covered, seen, 0)
     spans = list(_runs(cells, through > seen))
     votes, own = cells.votes(spans, survey, motion), cells.votes(spans, owner, np.zeros(3))
     stretches = [
@@ -84,7 +86,9 @@ def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings
     return Sightings(stretches, cells.lengths(known & (seen >= through)), cells.lengths(known))
 
 
-def covered_share(wall_map: WallMap, stretch: SeenThrough, other: WallMap, motion: se2.Pose, gate: Gate) -> float:
+def covered_share(
+    wall_map: WallGeometry, stretch: SeenThrough, other: WallGeometry, motion: se2.Pose, gate: Gate
+) -> float:
     """Return the share of a stretch that a wall of another map, which is at `motion`, covers; 1 is all of it.
 
     gate  metres across and radians within which two walls are the same
@@ -109,7 +113,7 @@ class _Cells:
     inner    true for covered cells that are not at an end of an observed piece
     """
 
-    def __init__(self, wall_map: WallMap) -> None:
+    def __init__(self, wall_map: WallGeometry) -> None:
         walls = wall_map.walls
         self._wall_map = wall_map
         self._first = np.floor(walls.low / WALL_CELL).astype(np.int64)
@@ -148,29 +152,46 @@ class _Cells:
         self.covered &= chosen
         self.inner &= chosen
 
-    def counts(self, survey: Survey, motion: se2.Pose) -> tuple[Integers, Integers]:
-        """Return how many scans see through each cell, and how many see it."""
+    def counts(self, survey: Survey, motion: se2.Pose, walls: Integers) -> tuple[Integers, Integers]:
+        """Return how many scans see through each cell of some walls (rows), and how many see it."""
         through, seen = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.int64)
-        for is_through, is_seen in self.scans(survey, motion):
-            through += is_through
-            seen += is_seen
+        for cells, is_through, is_seen in self.scans(survey, motion, walls):
+            through[cells] += is_through
+            seen[cells] += is_seen
         return through, seen
 
     def votes(self, spans: list[tuple[int, int]], survey: Survey, motion: se2.Pose) -> list[tuple[int, int]]:
         """Return for each span of cells, first and last, how many scans see through it, and how many see it."""
         votes = np.zeros((len(spans), 2), dtype=np.int64)
-        for is_through, is_seen in self.scans(survey, motion):
-            for k, (first, last) in enumerate(spans):
-                crossed, hit = int(is_through[first : last + 1].sum()), int(is_seen[first : last + 1].sum())
-                votes[k] += (crossed > hit, 0 < hit >= crossed)
+        first, last = np.array(spans, dtype=np.int64).reshape(-1, 2).T
+        for cells, *shown in self.scans(survey, motion, np.unique(self.wall[first])):
+            begin, end = np.searchsorted(cells, first), np.searchsorted(cells, last + 1)
+            sums = [np.concatenate([[0], np.cumsum(one)]) for one in shown]
+            crossed, hit = (one[end] - one[begin] for one in sums)
+            votes += np.column_stack([crossed > hit, (hit > 0) & (hit >= crossed)])
         return [(through, seen) for through, seen in votes.tolist()]
 
-    def scans(self, survey: Survey, motion: se2.Pose) -> Iterator[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-        """Yield for each scan which cells it sees through, and which it sees."""
-        frames = self._wall_map.walls.frame.copy()
-        for pose, points in zip(se2.compose(motion, survey.poses), survey.points, strict=True):
-            seen, depth, _ = trace_sight_lines(np.asarray(pose), points, frames, self._first, self._ends)
-            yield self.inner & (depth > self._min_depth), self.covered & seen
+    def scans(
+        self, survey: Survey, motion: se2.Pose, walls: Integers
+    ) -> Iterator[tuple[Integers, NDArray[np.bool_], NDArray[np.bool_]]]:
+        """Yield for each scan with one of some walls (rows, ascending) within reach the cells of those that are.
+
+        With the cells come which of them the scan sees through, and which it sees.
+        """
+        frames = self._wall_map.walls.frame[walls]
+        low, high = self._wall_map.walls.low[walls], self._wall_map.walls.high[walls]
+        middle = np.asarray(se2.compose(frames, np.column_stack([0.5 * (low + high), np.zeros((len(walls), 2))])))
+        for pose, points in zip(se2.compose(motion, survey.poses).reshape(-1, 3), survey.points, strict=True):
+            reach = float(np.hypot(points[:, 0], points[:, 1]).max(initial=0.0)) + ON_WALL_DISTANCE
+            far = np.hypot(middle[:, 0] - pose[0], middle[:, 1] - pose[1]) > reach + 0.5 * (high - low) + WALL_CELL
+            near = np.flatnonzero(~far)
+            if not len(near):
+                continue
+            begin, sizes = self._ends[walls[near]], np.diff(self._ends)[walls[near]]
+            ends = np.concatenate([[0], np.cumsum(sizes)])
+            cells = np.arange(ends[-1]) + np.repeat(begin - ends[:-1], sizes)
+            seen, depth, _ = trace_sight_lines(pose, points, frames[near], self._first[walls[near]], ends)
+            yield cells, self.inner[cells] & (depth > self._min_depth[cells]), self.covered[cells] & seen
 
 
 def _runs(cells: _Cells, chosen: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:

@@ -15,7 +15,7 @@ from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
 from ...io.wall_maps import wall_map_of
 from ...mapping.wall_removal import MIN_STEP
-from ...measuring.wall_map import WallMap
+from ...measuring.wall_map import WallGeometry
 from ...recognition.location import OVERLAP
 from ...recognition.location import locate as locate_drive
 from ..map_merging.session_scans import drive_of, map_of
@@ -26,7 +26,7 @@ from ..wall_alignment import MIN_COMMON, align_maps
 class Survey:
     """A settled session.
 
-    session   the session
+    session   the session; None for a plan in which no map is searched for
     wall_map  its walls
     poses     (k, 3) of scans with points, at least MIN_STEP metres of driving apart
     points    of each of these scans, (p, 2) in its frame
@@ -35,8 +35,8 @@ class Survey:
     hidden    (h, 2, 2) of its lines that no view shows, as in `PlanMap.hidden`
     """
 
-    session: StoredSession
-    wall_map: WallMap
+    session: StoredSession | None
+    wall_map: WallGeometry
     poses: Floats
     points: Sequence[Floats]
     scanned: bool = True
@@ -49,7 +49,7 @@ def survey_session(path: Path, session: StoredSession) -> Survey:
     return survey_settled(session, wall_map_of(path, session))
 
 
-def survey_settled(session: StoredSession, wall_map: WallMap) -> Survey:
+def survey_settled(session: StoredSession, wall_map: WallGeometry) -> Survey:
     """Return the survey of a session that has been settled, with its walls."""
     history = session.scan_history()
     poses = history.scan_poses(session.slam_state.mapper.keyframe_poses)
@@ -68,6 +68,8 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     recognised there, or if the maps have too few walls in common.
     """
     if guess is None:
+        if old.session is None or new.session is None:
+            raise ValueError("a survey without a session cannot be searched for")
         location = locate_drive(drive_of(new.session), map_of(old.session), OVERLAP)
         if not location.accepted:
             reason = f"the new one is not recognised: {location.reason}; --at states its rough pose"
@@ -81,6 +83,8 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
 
 def shared_scans(old: Survey, new: Survey) -> int:
     """Return how many scans both sessions contain, as if one was made from the other or from the same recording."""
+    if old.session is None or new.session is None:
+        return 0
     points = {scan.stamp: scan.features.points.xy for scan in old.session.scans}
     return sum(
         scan.stamp in points and np.array_equal(points[scan.stamp], scan.features.points.xy)

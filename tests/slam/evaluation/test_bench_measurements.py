@@ -1,4 +1,4 @@
-"""`wclm bench measure`, `wclm bench diff` and `wclm bench plan` count what they say they count."""
+"""`wclm bench measure`, `regular`, `diff` and `plan` count what they say they count."""
 
 from __future__ import annotations
 
@@ -13,9 +13,13 @@ from slam.evaluation.benchmarks.map_changes import CONDITIONS, DOORS, PairResult
 from slam.evaluation.benchmarks.measuring import MeasuredDrive, coverage, measure_drives
 from slam.evaluation.benchmarks.plans import PlanDrive, displace_walls, plan_of, plans_table
 from slam.evaluation.benchmarks.plans import score as score_plan
+from slam.evaluation.benchmarks.regularity import regularity_table, skew_walls
+from slam.evaluation.benchmarks.regularity import score as score_regular
 from slam.mapping.map_features import MapWalls
 from slam.measuring.measurement import Kind
 from slam.offline.map_diff import Change, ChangeKind, MapDiff
+
+from ..measuring.plans import around, moved, room, wall_map
 
 WORLD = """\
 path = [[1, 1], [4, 1], [4, 2.5]]
@@ -112,6 +116,7 @@ def test_differences_at_displaced_walls_are_found_and_others_are_blamed() -> Non
     others = nearest(plan, content.walls[0]), nearest(built, content.walls[0])
     assert scored() == (1, 0, 0)
     assert scored(Change(ChangeKind.MOVED, old, new, nowhere)) == (1, 1, 0)
+    assert scored(Change(ChangeKind.MOVED, others[0], new, nowhere)) == (1, 1, 1)  # the right place, another wall
     assert scored(Change(ChangeKind.GONE, old, None, nowhere)) == (1, 1, 0)
     assert scored(Change(ChangeKind.NEW, None, new, nowhere)) == (1, 1, 0)
     assert scored(Change(ChangeKind.GONE, others[0], None, nowhere)) == (1, 0, 1)
@@ -123,3 +128,30 @@ def test_the_table_of_plans_leaves_out_drives_without_a_place_in_the_plan() -> N
     lost = PlanDrive(np.nan, np.nan, np.nan, np.nan, 0, 0, 0)
     row = plans_table({"wrong-walls": [found, lost]})[-1]
     assert "| 2 | 1 | 8.0 m (up to 8.0 m) | 3.0 mm | 4.0 mm | 2.0 mm | 1 of 2 | 3 |" in row
+
+
+def test_walls_of_a_skewed_world_are_turned_about_their_middles() -> None:
+    content, skew = load_world_file("office"), np.radians(1.0)
+    skewed = skew_walls(content, skew, 4)
+    turned = 0
+    for before, after in zip(content.walls, skewed.walls, strict=True):
+        old, new = (np.array([wall.start, wall.end]) for wall in (before, after))
+        np.testing.assert_allclose(new.mean(axis=0), old.mean(axis=0), atol=1e-9)
+        angle = np.arctan2(*(new[1] - new[0])[::-1]) - np.arctan2(*(old[1] - old[0])[::-1])
+        assert abs(angle) == pytest.approx(skew) or (new == old).all()
+        turned += not (new == old).all()
+    assert 0 < turned < len(content.walls) / 4
+    assert skew_walls(content, skew, 4) == skewed
+
+
+def test_a_skewed_wall_that_is_made_regular_counts_as_wrong() -> None:
+    """Four walls whose directions have errors of 0.1 degrees; one of them is skewed by so little that it is taken."""
+    corners, skew = [(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)], 0.004
+    truth = wall_map(room(corners), around(4), covariance=np.diag(np.tile([1e-6, 2e-6], 4)))
+    truth = moved(truth, np.array([0.0, 0.0, 0.0, skew, 0.0, 0.0, 0.0, 0.0]))
+    estimate = moved(truth, np.array([0.0, 1e-3, 0.0, -1e-3, 0.0, -1e-3, 0.0, 1e-3]))
+    result = score_regular(estimate, truth, frozenset({0, 1, 2, 3}), skew)
+    assert (result.walls, result.regular, result.skewed, result.wrong) == (4, 4, 1, 1)
+    assert result.before == pytest.approx(1e-3)
+    table = regularity_table([(skew, [result])])
+    assert "| 1 | 4 | 4 | 1 | 1 | 0.057° |" in table[-1]

@@ -221,3 +221,22 @@ def test_two_parallel_walls_of_an_outline_are_connected_by_a_step() -> None:
     assert found.area == pytest.approx(20.0 - 0.1 * 2.8)
     same = build_room(wall_map(walls), 1, outline_along(wall_map(walls), found.outline.stretches), [])
     assert same.area == found.area
+
+
+def test_the_place_of_a_step_does_not_depend_on_the_directions_of_its_walls() -> None:
+    """Walls a metre apart turn by their errors; a place that followed would move by as many metres per radian."""
+    walls = [
+        [(0.0, 0.0), (2.0, 0.0)],
+        [(2.4, 1.0), (5.0, 1.0)],
+        [(5.0, 1.0), (5.0, 4.0)],
+        [(5.0, 4.0), (0.0, 4.0)],
+        [(0.0, 4.0), (0.0, 0.0)],
+    ]
+    plan, random = wall_map(walls, [(1, 2), (2, 3), (3, 4), (4, 0)]), np.random.default_rng(5)
+    (found,) = find_rooms(plan)
+    assert -1 in found.outline.walls
+    motion = random.normal(0.0, 1e-4, 10)
+    values = [outline_along(moved(plan, sign * motion), found.outline.stretches).perimeter for sign in (-1.0, 0.0, 1.0)]
+    assert values[1] == found.perimeter
+    change = 0.5 * (values[2] - values[0])
+    assert found.outline.perimeter_gradient @ motion == pytest.approx(change, rel=1e-3, abs=1e-9)

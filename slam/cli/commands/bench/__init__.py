@@ -18,6 +18,7 @@ from .lookalike import bench_lookalike
 from .measure import bench_measure
 from .paper import bench_paper
 from .plan import bench_plan
+from .regular import bench_regular
 from .relocalisation import bench_relocalisation
 from .residuals import bench_residuals
 from .robust import bench_robust
@@ -29,6 +30,7 @@ COMMANDS: dict[str, Callable[..., Any]] = {
     "features": bench_features,
     "consistency": bench_consistency,
     "measure": bench_measure,
+    "regular": bench_regular,
     "diff": bench_diff,
     "plan": bench_plan,
     "laps": bench_laps,
