@@ -7,9 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from numba import njit
-
 from .intermediate_code import free_when_loaded
+from .numba_import import njit
 from .sources import discard_stale
 from .wheel import prepend_wheel_cache, wheel_has
 

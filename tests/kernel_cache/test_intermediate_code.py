@@ -28,7 +28,9 @@ print(double(1.5), sum(double.stats.cache_hits.values()))
 (library,) = [result.library for result in double.overloads.values()]
 """
 
-COMPILE = CALL + """
+COMPILE = (
+    CALL
+    + """
 from numba import njit
 
 @njit
@@ -37,6 +39,7 @@ def quadruple(x):
 
 print(library._shared_module is None, quadruple(1.5), quadruple(2.5), library._shared_module is None)
 """
+)
 
 
 @pytest.fixture
