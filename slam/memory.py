@@ -56,7 +56,8 @@ def return_code_of_imports() -> None:
 
 def _unwritten_library_parts(smaps: str) -> list[tuple[int, int]]:
     """Return begin and end of the read-only parts of shared libraries in which no page was written to."""
-    parts, current = [], None
+    parts: list[tuple[int, int]] = []
+    current: tuple[int, int] | None = None
     for line in smaps.splitlines():
         words = line.split()
         if words[0] == "Anonymous:" and current is not None and words[1] == "0":
