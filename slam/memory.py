@@ -11,24 +11,18 @@ M_MMAP_THRESHOLD = -3
 MADV_DONTNEED = 4
 """Advice of Linux' `madvise`: pages are not needed soon."""
 LARGE_BLOCK = 1 << 20
-"""Bytes of a block of memory that a live run returns to the system as soon as it is freed."""
-LARGE_BLOCK_OF_RECORDING = 1 << 22
-"""The same for the run of a recording, which does not wait for measurements and must not waste processor time.
-
-Measured on the Intel recording: with 4 MB, 17 MB less memory at the peak, and 0.1 s more processor time; with 1 MB,
-25 MB less and 0.6 s more.
-"""
+"""Bytes of a block of memory that is returned to the system as soon as it is freed."""
 
 
-def return_large_blocks(size: int = LARGE_BLOCK) -> None:
-    """Return blocks of memory of at least `size` bytes to the system when they are freed, from now on.
+def return_large_blocks() -> None:
+    """Return large blocks of memory to the system when they are freed, from now on.
 
-    By default glibc raises the size of such blocks to that of the largest one freed so far, up to 32 MB. Arrays that
-    grow with the drive, and their copies for each save, then leave gaps that hardly fit others. No effect with other C
-    libraries.
+    By default glibc raises the size of such blocks to that of the largest one freed so far, up to 32 MB. Each save
+    copies the growing record of the drive, and the copies before it then leave gaps that hardly fit others. No effect
+    with other C libraries.
     """
     with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, size)
+        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BLOCK)
 
 
 def return_freed_memory() -> None:
