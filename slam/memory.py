@@ -35,7 +35,7 @@ def return_freed_memory() -> None:
 
 
 def return_code_of_imports() -> None:
-    """Return the pages of libraries' code and constants to the system; those needed again are mapped again, in 0.1 ms.
+    """Return the pages of libraries' code and constants to the system; those needed again are mapped again.
 
     Imports use far more of them than a run: with LLVM and GTSAM they take 80 MB. Linux keeps their contents in its file
     cache as long as nothing else needs that memory. Pages that were written to, as by the dynamic linker, are kept. No
