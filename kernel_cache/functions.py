@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from numba import njit
-
+from .intermediate_code import free_when_loaded
+from .numba_import import njit
 from .sources import discard_stale
 from .wheel import prepend_wheel_cache, wheel_has
 
@@ -26,6 +26,7 @@ def compile_cached(function: Callable[Arguments, Result], **options: Any) -> Cal
     stats = getattr(dispatcher, "stats", None)  # None if NUMBA_DISABLE_JIT is set
     if stats is not None:
         discard_stale(Path(inspect.getfile(function)), Path(stats.cache_path))
+        free_when_loaded(dispatcher)
         prepend_wheel_cache(dispatcher)
     return dispatcher
 

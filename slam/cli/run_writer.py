@@ -18,7 +18,7 @@ from ..events import Finished
 from ..io.output_dir import PICTURE
 from ..io.run_results import write_results
 from ..io.tum import Trajectory
-from ..memory import return_freed_memory
+from ..memory import return_code_of_imports, return_freed_memory
 from .plan_input import report_on_plan
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
@@ -72,6 +72,7 @@ class RunWriter:
         left_out  what the review log does not contain; None without one
         """
         return_freed_memory()  # to write tables, libraries are loaded that need as much
+        return_code_of_imports()
         score = score_against_truth(finished, self.statistics)
         took = time.perf_counter() - self.started
         summary = self._summarise(finished, slam.session, score, slam_seconds, took, slam.extends_map)

@@ -205,7 +205,7 @@ class SlamState:
 
         The anchor is then a pose near a keyframe, possibly the last one, and not a keyframe itself, which is certain.
         """
-        return self.anchor is not None and bool(self.anchor.covariance.any())
+        return self.anchor is not None and bool(np.count_nonzero(self.anchor.covariance))
 
     @property
     def anchor_pose(self) -> se2.Pose:

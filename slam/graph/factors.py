@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -133,14 +133,10 @@ def walls_of(factor: Factor) -> tuple[int, ...]:
     return (factor.second,) if factor.kind in (*WALL_KINDS, FactorKind.WALL) else ()
 
 
-def keys_of(factors: Iterable[Factor]) -> set[int]:
-    """Return the keys of the variables of some factors."""
-    keys = set()
-    for factor in factors:
-        first, second = _FIRST_KEYS.get(factor.kind, _FIRST_KEYS_OF_OTHERS)
-        keys.add(first + factor.first)
-        keys.add(second + factor.second)
-    return keys
+def keys_of(factor: Factor) -> tuple[int, int]:
+    """Return the keys of the variables of a factor; twice the same if it has only one."""
+    first, second = _FIRST_KEYS.get(factor.kind, _FIRST_KEYS_OF_OTHERS)
+    return first + factor.first, second + factor.second
 
 
 @dataclass(frozen=True, slots=True, eq=False)

