@@ -10,19 +10,22 @@ M_MMAP_THRESHOLD = -3
 """Option of glibc's `mallopt`."""
 MADV_DONTNEED = 4
 """Advice of Linux' `madvise`: pages are not needed soon."""
-LARGE_BLOCK = 1 << 20
-"""Bytes of a block of memory that is returned to the system as soon as it is freed."""
+LARGE_BLOCK = 4 << 20
+"""Bytes of a block of memory that commands return to the system as soon as it is freed. Measured on Intel's recording:
+297 MB instead of 304 at most, and 0.2 s of system time more; with 1 MB blocks it takes 0.6 s."""
+LARGE_LIVE_BLOCK = 1 << 20
+"""The same in live runs, whose memory would grow with each save."""
 
 
-def return_large_blocks() -> None:
-    """Return large blocks of memory to the system when they are freed, from now on.
+def return_large_blocks(size: int = LARGE_BLOCK) -> None:
+    """Return blocks of memory of at least `size` bytes to the system when they are freed, from now on.
 
     By default glibc raises the size of such blocks to that of the largest one freed so far, up to 32 MB. Each save
     copies the growing record of the drive, and the copies before it then leave gaps that hardly fit others. No effect
     with other C libraries.
     """
     with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, LARGE_BLOCK)
+        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, size)
 
 
 def return_freed_memory() -> None:

@@ -12,6 +12,7 @@ import gc
 import os
 import sys
 
+from ..memory import return_large_blocks
 from .signals import exit_at_once, exit_on_signals
 
 COLLECTION_THRESHOLD = 50_000
@@ -24,6 +25,7 @@ def main() -> None:
     While modules are imported there is nothing to clean up: Ctrl-C then ends the process at once, without a word.
     """
     exit_at_once()
+    return_large_blocks()  # before imports raise the size from which glibc does
     gc.set_threshold(COLLECTION_THRESHOLD)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # reuses what a run has freed
     from typer.main import get_command

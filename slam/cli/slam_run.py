@@ -22,7 +22,7 @@ from ..events import Finished, Sink
 from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
-from ..memory import return_code_of_imports, return_large_blocks
+from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
@@ -115,7 +115,7 @@ def _load_code(*, finite: bool) -> None:
         compile_for_recording()
     else:
         compile_all()
-        return_large_blocks()
+        return_large_blocks(LARGE_LIVE_BLOCK)
     import_module("slam.pipeline")  # so that its modules are frozen, too
     return_code_of_imports()
     gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s

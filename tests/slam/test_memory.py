@@ -8,7 +8,7 @@ import pytest
 BLOCKS = """
 import ctypes, sys
 from pathlib import Path
-from slam.memory import return_code_of_imports, return_freed_memory, return_large_blocks
+from slam.memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_freed_memory, return_large_blocks
 
 libc = ctypes.CDLL(None)
 libc.malloc.restype, libc.malloc.argtypes, libc.free.argtypes = ctypes.c_void_p, [ctypes.c_size_t], [ctypes.c_void_p]
@@ -22,7 +22,7 @@ def filled(size):
     return block
 """
 LARGE = """
-return_large_blocks()
+return_large_blocks(LARGE_LIVE_BLOCK)
 libc.free(filled(20_000_000))
 before = resident()
 blocks = [(filled(8_000_000), filled(500_000)) for _ in range(10)]
