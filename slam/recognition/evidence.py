@@ -8,8 +8,8 @@ $r_u = h\,r + (1 - h)\,c_u$. The evidence is the logarithm of the likelihood rat
     log mean_h prod_u r_u(h)^q_u (1 - r_u(h))^(1 - q_u)  -  max_{b <= 0} log prod_u c_u(b)^q_u (1 - c_u(b))^(1 - q_u),
 
 with $\operatorname{logit} c_u(b) = \operatorname{logit} c_u + b$: a place may look less alike than others, not more.
-$c_u$ is the share with which the cell fits at all other placements that were tried, some of them at random poses, and
-the mean of all cells there, which counts as two of them. So a bare wall that lies on a wall at every placement is no
+$c_u$ is the share with which the cell fits at all other placements that were tried, and the mean
+of all cells there, which counts as two of them. So a bare wall that lies on a wall at every placement is no
 evidence, nor is a door among equal doors.
 """
 

@@ -19,7 +19,6 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.look import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
-from ..matching.free_space import SEEN_CELL
 from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
 from .map_index import align_candidates
 from .scanned_map import PlacedScan, ScannedDrive, ScannedMap
@@ -81,12 +80,14 @@ class Placement:
 
 
 def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None = None) -> list[Placement]:
-    """Return the different placements of a map in another one that walls of its submaps suggest, and random ones.
+    """Return the different placements of a map in another one that walls of its submaps suggest.
 
-    near  admits only some poses, and suggests the one that the drive has by its own map; None if it may be anywhere
+    near  admits only some poses, suggests the one that the drive has by its own map, and random ones; None if it may be
+          anywhere
     """
     placements: list[Placement] = []
-    for submap, pose in chain(_candidates(new, old, near), _random_candidates(new, old, near)):
+    random = () if near is None else _random_candidates(new, near)
+    for submap, pose in chain(_candidates(new, old, near), random):
         if any(not are_distinct(placement.poses[submap], pose) for placement in placements):
             continue
         placement = _refine(new, old, submap, pose)
@@ -97,17 +98,11 @@ def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
     return placements
 
 
-def _random_candidates(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> Iterator[tuple[int, se2.Pose]]:
-    """Yield the last submap at random poses that are admitted: in seen space, or within the uncertainty."""
+def _random_candidates(new: ScannedDrive, near: Uncertainty) -> Iterator[tuple[int, se2.Pose]]:
+    """Yield the last submap at random poses that are admitted."""
     random, submap = np.random.default_rng(0), new.submaps[-1]
-    seen = np.argwhere(old.field.seen)
     for _ in range(RANDOM_CANDIDATES):
-        if near is not None:
-            pose = near.draw(submap, random)
-        else:
-            position = old.field.origin + SEEN_CELL * (seen[random.integers(len(seen))] + 0.5)
-            pose = np.array([*position, random.uniform(-math.pi, math.pi)])
-        yield len(new.submaps) - 1, pose
+        yield len(new.submaps) - 1, near.draw(submap, random)
 
 
 def _candidates(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> Iterator[tuple[int, se2.Pose]]:
