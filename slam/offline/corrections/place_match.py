@@ -12,10 +12,12 @@ from ...formatting import percent
 from ...localisation.local_field import REFERENCE_DISTANCE
 from ...loop_closure.agreement import RIVAL_QUALITY
 from ...loop_closure.closing import REVISIT_GAP
-from ...loop_closure.criteria import MIN_KNOWN, MIN_LOOP_FIT, fits, is_determined
+from ...loop_closure.criteria import MIN_KNOWN, is_determined
 from ...loop_closure.look import Look, Submaps
 from ...loop_closure.submap_search import SubmapMatch, search_submap
 
+MIN_PLACE_FIT = 0.75
+"""Least fit of a match, more than at a loop closure: no other look has to agree, and no evidence is required."""
 PROPOSED_REACH = 1.0
 """Metres around the pose of a proposed closure that are searched first: keyframes have moved since it was proposed."""
 PROPOSED_TURN = 0.2
@@ -48,7 +50,7 @@ def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | N
     for prediction, reach, turn in searches:
         if not matches:
             found = search_submap(look.submap, look.reference(old), prediction, reach, turn)
-            matches = [match for match in found if fits(match) and is_determined(match)]
+            matches = [match for match in found if _fits(match) and is_determined(match)]
     if not matches:
         raise MapError(f"{name} are not one place: {_misfit(found)}")
     rivals = [match for match in matches if match.quality >= RIVAL_QUALITY * matches[0].quality]
@@ -60,13 +62,17 @@ def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | N
     return look, rivals[0]
 
 
+def _fits(match: SubmapMatch) -> bool:
+    return match.known >= MIN_KNOWN and match.fit >= MIN_PLACE_FIT
+
+
 def _misfit(found: list[SubmapMatch]) -> str:
     """Return why no match counts, in words; they are sorted by their scores."""
     if not found:
         return "the scans fit at no pose"
     best = found[0]
-    if best.fit < MIN_LOOP_FIT:
-        return f"at the best pose {percent(best.fit)} of the points fit (at least {percent(MIN_LOOP_FIT)} needed)"
+    if best.fit < MIN_PLACE_FIT:
+        return f"at the best pose {percent(best.fit)} of the points fit (at least {percent(MIN_PLACE_FIT)} needed)"
     if best.known < MIN_KNOWN:
         needed = f"(at least {percent(MIN_KNOWN)} needed)"
         return f"the older scans have seen {percent(best.known)} of what the later ones show {needed}"

@@ -49,7 +49,8 @@ def test_deskewing_subtracts_the_bias() -> None:
 def test_covariances_are_consistent_with_a_calibrated_lidar() -> None:
     """An unknown bias of 2 cm makes every covariance forty times too small; a calibrated one does not."""
     config, _ = calibrated_config(0.02)
-    rows = {row.name: row.consistency for row in summarise(list(simulate(range(10), range_bias=0.02, config=config)))}
+    result = summarise(list(simulate(range(10), range_bias=0.02, config=config)))
+    rows = {row.name: row.consistency for row in result.rows}
     assert rows["poses"].consistent
     assert rows["walls"].consistent
     assert rows["corners"].consistent
