@@ -137,7 +137,7 @@ def test_looks_that_agree_on_a_wrong_door_close_no_loop(monkeypatch: pytest.Monk
         return decision
 
     monkeypatch.setattr("slam.estimation.loop_update.check_evidence", recorded)
-    assert not run_world("equal_doors", 8770).wrong
+    assert not run_world("equal_doors", 8771).wrong
     assert rejected, "looks did not agree, so this proves nothing"
     assert "fits in several places" in rejected[0]
 
