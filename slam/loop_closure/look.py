@@ -152,10 +152,10 @@ class Look:
         """Find the covariances of the last keyframe's pose relative to some old ones."""
         covariances, unknown = self._mapper.covariances, list[int]()
         for old in places:
-            scale = self.error_scale(old, self.last) ** 2
-            bound = scale * covariances.relative_bound(old, self.last, stored=True)
+            scale = float(self.error_scale(old, self.last))
+            bound = scale**2 * covariances.relative_bound(old, self.last, stored=True)
             if not _is_minor(bound) and len(places) < MIN_TOGETHER:
-                bound = scale * covariances.relative_bound(old, self.last, stored=False)
+                bound = scale**2 * covariances.relative_bound(old, self.last, stored=False)
             if _is_minor(bound):
                 self._covariances[old] = bound + np.diag(UNMODELLED_SIGMAS**2)
             else:
@@ -164,19 +164,18 @@ class Look:
         found = covariances.relative_to_all(unknown, self.last) if together else ()
         for row, old in enumerate(unknown):
             estimated = found[row] if together else covariances.relative(old, self.last)
-            scale = self.error_scale(old, self.last)
+            scale = float(self.error_scale(old, self.last))
             self._covariances[old] = scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
 
-    def error_scale(self, keyframe: int, other: int) -> float:
-        """Return the factor of the standard deviations of the motion between two keyframes; 1 unless it is doubted.
+    def error_scale(self, keyframes: int | Integers, other: int) -> Floats:
+        """Return (...) the factors of the standard deviations of the motions from keyframes (...) to another one.
 
-        The errors of the n submaps between them are independent by the estimate, which adds their variances. If an
-        error is the same in all of them, as that of a lidar, a wheel or a clock that no model contains, their standard
-        deviations add instead: the sum is up to sqrt(n) times larger.
+        They are 1 unless the estimate is doubted. By the estimate, the errors of the n submaps between two keyframes
+        are independent, and their variances add. If an error is the same in all of them, as that of a lidar, a wheel or
+        a clock that no model contains, their standard deviations add instead: the sum is up to sqrt(n) times larger.
         """
-        if not self._doubted:
-            return 1.0
-        return float(np.sqrt(max(1.0, abs(self._travelled[other] - self._travelled[keyframe]) / SUBMAP_LENGTH)))
+        submaps = np.abs(self._travelled[other] - self._travelled[keyframes]) / SUBMAP_LENGTH
+        return np.asarray(np.sqrt(np.maximum(1.0, submaps)) if self._doubted else np.ones_like(submaps))
 
     def is_certain(self, old: int) -> bool:
         """Return True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
@@ -188,8 +187,8 @@ class Look:
         Places closer together than REFERENCE_DISTANCE are represented by the oldest of them.
         """
         poses, spread = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
-        scales = np.array([self.error_scale(old, self.last) for old in self._old.tolist()])
-        bound = SEARCH_DEVIATIONS * (scales * (spread[self._old] + self._spread(spread)) + UNMODELLED_SIGMAS[0])
+        deviations = self.error_scale(self._old, self.last) * (spread[self._old] + self._spread(spread))
+        bound = SEARCH_DEVIATIONS * (deviations + UNMODELLED_SIGMAS[0])
         chosen = list[int]()
         for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
             if np.hypot(*(poses[chosen, :2] - poses[keyframe, :2]).T).min(initial=np.inf) > REFERENCE_DISTANCE:
@@ -203,10 +202,10 @@ class Look:
         if not self._apart or not len(self._old):
             return float(spread[self.last])
         nearest = int(self._old[-1])
-        return float(spread[nearest] + np.sqrt(np.linalg.eigvalsh(self.covariance(nearest)[:2, :2])[-1]))
+        return float(spread[nearest] + self.deviation(nearest))
 
     def deviation(self, old: int) -> float:
-        """Return the standard deviation (metres) of the position relative to an old keyframe, in any direction."""
+        """Return the largest standard deviation (metres) of the position relative to an old keyframe."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance(old)[:2, :2])[-1]))
 
     def search_radius(self, old: int) -> float:
@@ -259,7 +258,7 @@ class Look:
         """Return True if the motion from one match to another over the old map agrees with the estimate."""
         poses = self._mapper.keyframe_poses
         over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
-        scale = self.error_scale(match.keyframe, other.keyframe)
+        scale = float(self.error_scale(match.keyframe, other.keyframe))
         covariance = scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
         covariance += np.diag(UNMODELLED_SIGMAS**2) + covariance_after(match.covariance, over_old) + other.covariance
         estimated = se2.between(poses[match.keyframe], poses[other.keyframe])

@@ -32,11 +32,6 @@ class LoopHypothesis:
         """Metres of driving between the first and the last look that support it."""
         return self.support[-1].travelled - self.support[0].travelled if self.support else 0.0
 
-    @property
-    def mean_fit(self) -> float:
-        """Mean fit of the looks that support it."""
-        return float(np.mean([match.fit for match in self.support]))
-
     def copy(self) -> LoopHypothesis:
         """Return an independent copy."""
         return LoopHypothesis(self.motion, list(self.support), list(self.contradictions), self.rejection)

@@ -13,7 +13,6 @@ SENTENCES = {
     "support": "{:.0f} looks agree (requires {:.0f})",
     "span": "the looks that agree extend over {:.1f} m of driving (requires {:.1f} m)",
     "contradicted": "{:.0f} % as many looks contradict it as support it (at most {:.0f} %)",
-    "fit": "the points fit by {:.1f} % (requires {:.1f} %)",
     "mahalanobis": "the robot would move by {:.1f} standard deviations of the estimate (at most {:.1f})",
     "rival": "another place has {:.0f} % as many looks that support it (at most {:.0f} %)",
     "last-look": "the last look fits {:.0f} places as well (at most {:.0f})",
@@ -21,7 +20,7 @@ SENTENCES = {
 }
 """Failed check as a sentence about its value and its gate."""
 # Checks whose value and gate are stated in per cent. Origin: definition.
-SHARES = ("contradicted", "fit", "rival")
+SHARES = ("contradicted", "rival")
 
 
 def rejected(decision: LoopDecision, largest_rival: float, equal: int, was_retracted: bool) -> LoopDecision:

@@ -82,7 +82,6 @@ _CHECKS = {
     "support": "looks that support it",
     "span": "metres driven between the first and the last of them",
     "contradicted": "looks that contradict it / looks that support it",
-    "fit": "mean share of the points that fit",
     "mahalanobis": "deviation from the estimate, sigmas",
     "rival": "looks that support another place / looks that support it",
     "last-look": "places that fit the last look as well",
