@@ -14,7 +14,8 @@ within its uncertainty, places are searched where the robot may be if its errors
 may be there.
 
 Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
-where odometry has put them, and a pose that fits there is one of the matches.
+where odometry has put them, and a pose that fits there is one of the matches. If looks at what the other part has seen
+fit nowhere within the uncertainty, the estimate is refuted: see `LoopAgreement.refuted`.
 """
 
 from __future__ import annotations
@@ -114,6 +115,11 @@ class LoopAgreement:
         contradicted = self._last_search in self._estimate.contradictions[-1:]
         return contradicted and any(h.support[-1].travelled == self._last_search for h in self._hypotheses)
 
+    @property
+    def refuted(self) -> bool:
+        """True if looks contradict the estimate of the motion between two parts, and nothing fits near it."""
+        return len(self._estimate.contradictions) >= MIN_SUPPORT and not self._hypotheses
+
     def _is_excluded(self, look: Look, motion: se2.Pose) -> bool:
         """Return True if a motion in the map is that of a retracted closure."""
         return not all(differ(look, motion, retracted) for retracted in self._retracted)
@@ -168,7 +174,9 @@ class LoopAgreement:
         places = look.possible_places()
         tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
         found = [] if self._is_settled(look, places, tested) else self._find(look, places)
-        if self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):
+        if self._joins:
+            self._test_estimate(look, tested, found)
+        if not self._joins and self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):
             look = Look(mapper, local_field, self._submaps, among, doubted=True)
             places = look.possible_places()
             beyond = self._find(look, places, DOUBTED_PLACES)
@@ -185,6 +193,14 @@ class LoopAgreement:
     def _is_refuted(self, look: Look) -> bool:
         """Return True if looks contradict the estimate: the robot is at another place, however certain it may be."""
         return self._estimate.contradictions_since(look.travelled - MEMORY) >= MIN_SUPPORT
+
+    def _test_estimate(self, look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> None:
+        """Let a look contradict the estimate of a part that is not connected: the old map does not fit within it."""
+        vote = self._test(look, self._estimate)
+        if vote is None or vote.match.known < MIN_KNOWN:
+            return
+        if not is_recognised(look, [*tested, (self._estimate, vote)], found):
+            self._estimate.contradictions.append(look.travelled)
 
     def _is_settled(self, look: Look, places: Sequence[int], tested: Sequence[Tested]) -> bool:
         """Return True if the look agrees with the estimate, which is certain: other places need not be searched."""

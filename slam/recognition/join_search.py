@@ -2,8 +2,9 @@
 
 If odometry measured the way from the other part, the place is searched as in loop closure, within its uncertainty. A
 robot that was carried may be anywhere: there, all submaps since then are searched together in the whole map, and the
-evidence of all of them decides; see `location`. If the place is ambiguous, the part stays apart, and the search goes on
-as the robot drives.
+evidence of all of them decides; see `location`. So it is if looks contradict what odometry measured: the robot lost its
+pose on the way, and the wheels may have failed there too. If the place is ambiguous, the part stays apart, and the
+search goes on as the robot drives.
 """
 
 from __future__ import annotations
@@ -87,6 +88,8 @@ class JoinSearch:
             decision = agreement.search(mapper, local_field, groups == group)
             if decision is not None:
                 return decision
+            if agreement.refuted:
+                reachable &= groups != group
         return None if reachable.all() else self._search_elsewhere(mapper, local_field, groups, connected, ~reachable)
 
     def _search_elsewhere(

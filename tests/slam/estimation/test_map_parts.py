@@ -60,14 +60,16 @@ def process(drive: list[Message]) -> list[ProcessedScan]:
     return processed
 
 
-def lose(scans: list[ProcessedScan], shift: se2.Pose, *, kidnapped: bool) -> tuple[Estimator, list[int]]:
-    """Map scans with an estimator whose pose is declared lost at LOST_AT, and is wrong by `shift` from then on.
+def lose(
+    scans: list[ProcessedScan], shift: se2.Pose, *, kidnapped: bool, at: float = LOST_AT
+) -> tuple[Estimator, list[int]]:
+    """Map scans with an estimator whose pose is declared lost after `at` seconds, and is wrong by `shift` from then on.
 
     Returns the estimator and the first keyframes of the parts that it joined.
     """
     estimator, joined = Estimator(SlamState(Config())), []
     for scan in scans:
-        if scan.stamp - scans[0].stamp > LOST_AT and len(estimator.state.mapper.landmarks.parts) == 1:
+        if scan.stamp - scans[0].stamp > at and len(estimator.state.mapper.landmarks.parts) == 1:
             pose = se2.compose(estimator.state.predict(scan.odometry), shift)
             estimator.begin_part(pose, scan.odometry, kidnapped=kidnapped)
         result = estimator.process(scan)
@@ -120,6 +122,15 @@ def test_a_place_that_odometry_excludes_is_not_joined(scans: list[ProcessedScan]
     estimator, joined = lose(scans, np.array([4.0, -3.0, 2.5]), kidnapped=False)
     assert not joined
     assert len(estimator.state.trajectory) == len(scans)
+
+
+def test_a_part_is_searched_everywhere_if_scans_contradict_the_place_where_odometry_has_it(
+    scans: list[ProcessedScan], drive: list[Message]
+) -> None:
+    """Odometry is wrong by more than its covariance admits: the room does not look as it would there."""
+    estimator, joined = lose(scans, np.array([1.5, -1.0, 0.5]), kidnapped=False, at=DURATION / 3.0)
+    assert joined == estimator.state.mapper.landmarks.parts.firsts[1:]
+    assert position_errors(estimator, drive).max() < 0.03
 
 
 @pytest.mark.parametrize("kidnapped", [False, True])
