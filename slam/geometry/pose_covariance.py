@@ -1,4 +1,4 @@
-"""Propagation of the covariance of a pose."""
+"""Covariances of poses: propagation, and the distance of poses in standard deviations."""
 
 from __future__ import annotations
 
@@ -13,3 +13,12 @@ def covariance_after(covariance: Floats, motion: se2.Pose) -> Floats:
     """Transform the covariance (3, 3) of a pose, in its own frame, by a motion without error that follows it."""
     adjoint = se2.adjoint(se2.inverse(motion))
     return np.asarray(adjoint @ covariance @ adjoint.T)
+
+
+def squared_distance(pose: se2.Pose, other: se2.Pose, covariance: Floats) -> float:
+    """Return the squared Mahalanobis distance of a pose from another one: that of the twist between them.
+
+    covariance  (3, 3) of the difference, in the frame of `pose`
+    """
+    error = se2.log(se2.between(pose, other))
+    return float(error @ np.linalg.solve(covariance, error))

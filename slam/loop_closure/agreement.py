@@ -120,10 +120,6 @@ class LoopAgreement:
         """True if looks contradict the estimate of the motion between two parts, and nothing fits near it."""
         return len(self._estimate.contradictions) >= MIN_SUPPORT and not self._hypotheses
 
-    def _is_excluded(self, look: Look, motion: se2.Pose) -> bool:
-        """Return True if a motion in the map is that of a retracted closure."""
-        return not all(differ(look, motion, retracted) for retracted in self._retracted)
-
     def number(self, decision: LoopDecision) -> LoopDecision:
         """Return a decision with the next number."""
         self._candidates += 1
@@ -189,6 +185,10 @@ class LoopAgreement:
             self._note_rejections(look)
             return None
         return self.number(decision)
+
+    def _is_excluded(self, look: Look, motion: se2.Pose) -> bool:
+        """Return True if a motion in the map is that of a retracted closure."""
+        return not all(differ(look, motion, retracted) for retracted in self._retracted)
 
     def _is_refuted(self, look: Look) -> bool:
         """Return True if looks contradict the estimate: the robot is at another place, however certain it may be."""

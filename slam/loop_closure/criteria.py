@@ -119,4 +119,5 @@ def confirm(
         since,
         look.compared_points(last.old),
         joins=joins,
+        doubted=look.doubted,
     )

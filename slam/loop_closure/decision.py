@@ -74,6 +74,7 @@ class LoopDecision:
     merged        landmark ids (old, recent) of walls that were merged
     shift         metres by which the last keyframe moved
     joins         true if it joins parts of the map that were not connected
+    doubted       true if the last look has doubted the estimate, see `Look`
     """
 
     candidate: int
@@ -92,6 +93,7 @@ class LoopDecision:
     merged: tuple[tuple[int, int], ...] = ()
     shift: float = 0.0
     joins: bool = False
+    doubted: bool = False
 
     @property
     def fit(self) -> float:

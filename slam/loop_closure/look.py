@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.pose_covariance import covariance_after
+from ..geometry.pose_covariance import covariance_after, squared_distance
 from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import REFERENCE_DISTANCE, LocalField
 from ..mapping.mapper import Mapper
@@ -95,7 +95,7 @@ class Look:
         doubted: bool = False,
     ) -> None:
         self._mapper, self._field, self._submaps = mapper, local_field, submaps
-        self._doubted = doubted
+        self.doubted = doubted
         self._travelled = np.asarray(mapper.travelled)
         self._ways = local_field.ways(mapper.travelled)
         self._covariances: dict[int, Floats] = {}
@@ -175,7 +175,7 @@ class Look:
         a clock that no model contains, their standard deviations add instead: the sum is up to sqrt(n) times larger.
         """
         submaps = np.abs(self._travelled[other] - self._travelled[keyframes]) / SUBMAP_LENGTH
-        return np.asarray(np.sqrt(np.maximum(1.0, submaps)) if self._doubted else np.ones_like(submaps))
+        return np.asarray(np.sqrt(np.maximum(1.0, submaps)) if self.doubted else np.ones_like(submaps))
 
     def is_certain(self, old: int) -> bool:
         """Return True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
@@ -226,7 +226,7 @@ class Look:
 
     def squared_distance(self, old: int, relative: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose of the submap in that of an old place from the estimate."""
-        return _squared(self.relative(old, np.zeros(3)), relative, self.covariance(old))
+        return squared_distance(self.relative(old, np.zeros(3)), relative, self.covariance(old))
 
     def compared_points(self, old: int) -> tuple[Floats, Floats]:
         """Return the points of the submap (n, 2) and of that of an old place (m, 2), in the map."""
@@ -244,7 +244,7 @@ class Look:
 
     def agrees(self, old: int, match: SubmapMatch) -> bool:
         """Return True if the estimate agrees with a match: the robot is back, and nothing has to be corrected."""
-        return _squared(self.relative(old, np.zeros(3)), match.pose, match.covariance) < MAX_SQUARED_DISTANCE
+        return squared_distance(self.relative(old, np.zeros(3)), match.pose, match.covariance) < MAX_SQUARED_DISTANCE
 
     def consistent(self, matches: Sequence[LoopMatch]) -> list[LoopMatch]:
         """Return the last of some matches, and the earlier ones that are consistent with all later ones."""
@@ -262,7 +262,7 @@ class Look:
         covariance = scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
         covariance += np.diag(UNMODELLED_SIGMAS**2) + covariance_after(match.covariance, over_old) + other.covariance
         estimated = se2.between(poses[match.keyframe], poses[other.keyframe])
-        return _squared(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
+        return squared_distance(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
 
     def search(self, old: int) -> Sequence[SubmapMatch]:
         """Return the poses of the submap in that of an old place that the estimate's uncertainty admits."""
@@ -287,7 +287,8 @@ class Look:
             sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
             turn = SEARCH_DEVIATIONS * float(np.sqrt(covariance[2, 2]))
             found = search_submap(self.submap, self.reference(old), start, SEARCH_DEVIATIONS * sigma, turn)
-            within = (m for m in found if _squared(start, m.pose, covariance + m.covariance) < MAX_SQUARED_DISTANCE)
+            distances = [squared_distance(start, m.pose, covariance + m.covariance) for m in found]
+            within = [m for m, squared in zip(found, distances, strict=True) if squared < MAX_SQUARED_DISTANCE]
             match = max([match, *within], key=lambda m: m.score)
         return match
 
@@ -310,9 +311,3 @@ def _position_sigmas(covariances: Floats) -> Floats:
     """Return the standard deviation (n,) in the worst direction of positions with covariances (n, 3, 3)."""
     xx, xy, yy = covariances[:, 0, 0], covariances[:, 0, 1], covariances[:, 1, 1]
     return np.asarray(np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)))
-
-
-def _squared(pose: se2.Pose, other: se2.Pose, covariance: Floats) -> float:
-    """Return the squared Mahalanobis distance of a pose from another one, that of the twist between them."""
-    error = se2.log(se2.between(pose, other))
-    return float(error @ np.linalg.solve(covariance, error))

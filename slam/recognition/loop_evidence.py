@@ -17,7 +17,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
-from ..loop_closure.criteria import MAX_CLOSED_DISTANCE, differ
+from ..loop_closure.criteria import differ
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.look import SUBMAP_LENGTH, Look, Submaps
 from ..loop_closure.loop_status import LoopStatus
@@ -37,16 +37,13 @@ def check_evidence(
     among  (k,) keyframes of the connected part of the map
     """
     place, poses = decision.matches[-1].old, mapper.keyframe_poses
-    look, expected = Look(mapper, local_field, Submaps(), among), RECOGNISED
-    if look.squared_distance(place, look.relative(place, decision.correction)) >= MAX_CLOSED_DISTANCE:
-        # the looks have doubted the estimate
-        look, expected = Look(mapper, local_field, Submaps(), among, doubted=True), DOUBTED
+    look = Look(mapper, local_field, Submaps(), among, doubted=decision.doubted)
     first = look.keyframe_at(decision.matches[0].travelled - SUBMAP_LENGTH)
     reach = _distances(poses[first:], poses[first]).max() + look.search_radius(place) + FIELD_HALF_WIDTH
     travelled = np.asarray(mapper.travelled)
     old = among & (travelled < travelled[first] - SUBMAP_LENGTH) & (_distances(poses, look.pose) < reach)
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
-    location = locate(drive, known, expected, Uncertainty(look.covariance(place)))
+    location = locate(drive, known, DOUBTED if decision.doubted else RECOGNISED, Uncertainty(look.covariance(place)))
     if location.accepted and not differ(look, location.members[-1].motion, decision.correction):
         return decision
     reason = f"the drive as a whole does not fit there: {location.reason}"

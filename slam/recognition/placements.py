@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.pose_covariance import squared_distance
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.look import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
@@ -46,8 +47,7 @@ class Uncertainty:
 
     def admits(self, submap: PlacedScan, pose: se2.Pose) -> bool:
         """Return True if a submap may be at a pose in the other map. No submap has drifted farther than the last."""
-        error = se2.log(se2.between(submap.pose, pose))
-        return bool(error @ np.linalg.solve(self.covariance, error) < MAX_SQUARED_DISTANCE)
+        return squared_distance(submap.pose, pose, self.covariance) < MAX_SQUARED_DISTANCE
 
     def draw(self, submap: PlacedScan, random: np.random.Generator) -> se2.Pose:
         """Return a pose of a submap in the other map, drawn from those that are admitted with equal probability."""
