@@ -7,11 +7,13 @@ INPUTS ?= 1000
 SHARD ?= 1/1
 TEST ?= kill
 SIZE ?=
+SEED ?= 1
+FACTOR ?= 1.2
 
 # Python stores what it compiles, whatever the environment says: the tests start some hundred processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: help env wheel demo test test-slow coverage fuzz endurance gate lint format docs reference gallery lock clean
+.PHONY: help env wheel demo test test-slow coverage fuzz endurance sensitivity gate lint format docs reference gallery lock clean
 
 help:
 	@echo "make demo        simulate a robot in a museum, map it, write demo/, open the viewer on a desktop"
@@ -20,6 +22,7 @@ help:
 	@echo "make coverage    run the tests and report which lines they cover"
 	@echo "make fuzz        read damaged files of all kinds; INPUTS=100000 SHARD=1/4 sets their number and the part of them"
 	@echo "make endurance   kill live runs, cut their power, fill their disk, damage their devices; TEST=kill, power, disk, faults, pairs, ros or grid"
+	@echo "make sensitivity map the recordings in \$$WCLM_DATASETS with all constants changed at random; SEED=1 FACTOR=1.2"
 	@echo "make gate        fail if accuracy or speed is worse than the stored limits"
 	@echo "make lint        ruff and mypy"
 	@echo "make format      format the code with ruff"
@@ -60,6 +63,9 @@ fuzz: $(READY)
 
 endurance: $(READY)
 	$(BIN)/python -m tests.endurance $(TEST) $(if $(SIZE),--size $(SIZE))
+
+sensitivity: $(READY)
+	$(BIN)/python -m tests.sensitivity --seed $(SEED) --factor $(FACTOR)
 
 gate: $(READY)
 	$(BIN)/wclm bench gate

@@ -1,10 +1,11 @@
 """Every numeric constant of the estimator core states where its value is from."""
 
 import ast
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from .sensitivity.constants import ORIGIN, change_constants, comment_of, find_constants
 
 SLAM = Path(__file__).parents[1] / "slam"
 CORE = (
@@ -16,33 +17,10 @@ CORE = (
     "matching",
     "localisation",
     "loop_closure",
+    "recognition",
     "checks",
     "estimation",
 )
-ORIGIN = "Origin:"
-
-
-def constants(tree: ast.Module) -> Iterator[tuple[str, ast.Assign | ast.AnnAssign]]:
-    """Yield the module-level assignments of an expression with a number in it to an upper-case name."""
-    for node in tree.body:
-        if isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
-            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
-            first = target.elts[0] if isinstance(target, ast.Tuple) else target
-            numbers = (leaf for leaf in ast.walk(node.value) if isinstance(leaf, ast.Constant))
-            if (
-                isinstance(first, ast.Name)
-                and first.id.strip("_").isupper()
-                and any(isinstance(leaf.value, int | float) and not isinstance(leaf.value, bool) for leaf in numbers)
-            ):
-                yield first.id, node
-
-
-def comment_of(lines: list[str], node: ast.stmt) -> str:
-    """Return the comment lines directly above a statement, and the comments on its own lines."""
-    first = node.lineno - 1
-    while first > 0 and lines[first - 1].lstrip().startswith("#"):
-        first -= 1
-    return "\n".join(line.partition("#")[2] for line in lines[first : node.end_lineno])
 
 
 @pytest.mark.parametrize("package", CORE)
@@ -52,7 +30,7 @@ def test_every_constant_states_its_origin(package: str) -> None:
     missing = []
     for file in files:
         text = file.read_text(encoding="utf-8")
-        lines, found = text.splitlines(), constants(ast.parse(text))
+        lines, found = text.splitlines(), find_constants(ast.parse(text))
         missing += [f"{file.name}: {name}" for name, node in found if ORIGIN not in comment_of(lines, node)]
     assert not missing, f"no comment with '{ORIGIN}' for {', '.join(missing)}"
 
@@ -60,5 +38,21 @@ def test_every_constant_states_its_origin(package: str) -> None:
 def test_a_missing_origin_is_found() -> None:
     text = "GATE = 13.8  # chi-square\n# Metres. Origin: convention.\nREACH = 2.0\nNAMES = ('a', 'b')\n"
     lines = text.splitlines()
-    found = {name: ORIGIN in comment_of(lines, node) for name, node in constants(ast.parse(text))}
+    found = {name: ORIGIN in comment_of(lines, node) for name, node in find_constants(ast.parse(text))}
     assert found == {"GATE": False, "REACH": True}
+
+
+def test_only_estimated_constants_are_changed() -> None:
+    text = """# Metres. Origin: chosen.
+A, B = 0.1, 4
+C = (0.9, math.radians(8.0))  # Origin: measured, é
+# Origin: definition.
+D = 3.0
+E = Expectation(prior=0.5)  # Origin: chosen.
+F = "x", 2.5
+"""
+    changed, count = change_constants(text, lambda: 2.0)
+    assert count == 4
+    assert changed == text.replace("0.1, 4", "0.2, 8").replace("0.9,", "0.8,").replace(
+        "math.radians(8.0)", "(math.radians(8.0)) * 2.0"
+    )
