@@ -29,9 +29,15 @@ def add_points(pose, points, field, sigma, information, gradient):  # type: igno
     unseen cells are left out: what is seen for the first time, such as the continuation of a wall, is near known points
     without being at them. Information (3, 3) and gradient (3,) refer to the base's axes.
     """
+    rows, vectors = interpolate(pose, points, field)
+    _add_rows(pose, points, rows, vectors, sigma, information, gradient)
+
+
+@inlined
+def _add_rows(pose, points, rows, vectors, sigma, information, gradient):  # type: ignore[no-untyped-def]
+    """Set the normal equations of the points in some rows (m,), given their vectors (m, 2) from the surface."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    rows, vectors = interpolate(pose, points, field)
     for m in range(len(rows)):
         point, dx, dy = points[rows[m]], vectors[m, 0], vectors[m, 1]
         normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]

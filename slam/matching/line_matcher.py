@@ -144,6 +144,7 @@ def _without_matched(points, segment_of, overlaps):  # type: ignore[no-untyped-d
     kept, count = np.empty_like(points), 0
     for k in range(len(points)):
         if segment_of[k] < 0 or overlaps[segment_of[k]] == 0.0:
-            kept[count] = points[k]
+            for c in range(4):
+                kept[count, c] = points[k, c]
             count += 1
     return kept[:count]
