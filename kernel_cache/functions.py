@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from .intermediate_code import parse_when_needed
+from .loading import load_without_compiler
 from .numba_import import njit
 from .sources import discard_stale
 from .wheel import prepend_wheel_cache, wheel_has
@@ -27,6 +28,7 @@ def compile_cached(function: Callable[Arguments, Result], **options: Any) -> Cal
     if stats is not None:
         discard_stale(Path(inspect.getfile(function)), Path(stats.cache_path))
         parse_when_needed(dispatcher)
+        load_without_compiler(dispatcher)
         prepend_wheel_cache(dispatcher)
     return dispatcher
 
