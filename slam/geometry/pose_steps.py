@@ -26,6 +26,12 @@ def difference(prediction, pose):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def wrap_heading(pose):  # type: ignore[no-untyped-def]
+    """Wrap the heading of a pose in place, as `drivers.se2.wrap` does to the last digit; `wrap_angle` may not."""
+    pose[2] = (pose[2] + math.pi) % (2 * math.pi) - math.pi
+
+
+@inlined
 def move_back(pose, move):  # type: ignore[no-untyped-def]
     """Move a pose in place against a step (3,) along its own axes."""
     c, s = math.cos(pose[2]), math.sin(pose[2])

@@ -15,7 +15,7 @@ from drivers import se2
 from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import axes_of
-from ..geometry.pose_steps import difference, move_back
+from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import product, solution
 from ..mapping.local_map import LocalMap
@@ -108,8 +108,6 @@ def register(
         field.arrays,
         roughness,
     )  # fmt: skip
-    pose[2] = se2.wrap(pose[2])
-    point_pose[2] = se2.wrap(point_pose[2])
     return Registration(pose, information, point_pose, point_information, matched / total if total else 0.0)
 
 
@@ -141,6 +139,8 @@ def _register(  # type: ignore[no-untyped-def]
         move_back(pose, solution(total, gradient))
     # From where it is linearised, and without the prior: odometry has a factor of its own in the graph.
     move_back(point_pose, solution(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
+    wrap_heading(pose)
+    wrap_heading(point_pose)
     return pose, information, point_information, point_pose, overlaps.sum()
 
 

@@ -35,7 +35,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
-from ..geometry.pose_steps import difference, move_back
+from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse, log_determinant, product, quadratic_form, solution
 from .distance_field import DistanceField
@@ -220,7 +220,6 @@ def match_from(
     pose, information, cost, fit, known = _match_from(
         field.arrays, points, start, prediction.pose, prediction.information, prediction.kernel, sigmas
     )
-    pose[2] = se2.wrap(pose[2])
     total = cost / POINTS_PER_OBJECT + prediction.cost_of(pose)
     return PointMatch(pose, information, prediction, total, fit, known)
 
@@ -280,6 +279,7 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
             if abs(move[0]) < LAST_STEP and abs(move[1]) < LAST_STEP and abs(move[2]) < LAST_STEP:
                 break
     cost, fit, known = points_cost(field, points, pose)
+    wrap_heading(pose)
     return pose, information, cost, fit, known
 
 
