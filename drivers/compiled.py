@@ -44,5 +44,7 @@ def inlined(function: Callable[Arguments, Result]) -> Callable[Arguments, Result
     """Compile a function that compiled functions call in inner loops, and put its code in place of each call.
 
     To pass arrays to a function takes as long as some dozens of operations. LLVM itself inlines only the smallest ones.
+    The function must not create arrays: it is compiled without the counts of references to them, whose updates, atomic
+    operations, would take longer than the rest of many a function.
     """
-    return compile_cached(function, forceinline=True)
+    return compile_cached(function, forceinline=True, _nrt=False)

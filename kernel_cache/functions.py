@@ -7,7 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-from .intermediate_code import free_when_loaded
+from .intermediate_code import parse_when_needed
+from .loading import load_without_compiler
 from .numba_import import njit
 from .sources import discard_stale
 from .wheel import prepend_wheel_cache, wheel_has
@@ -26,7 +27,8 @@ def compile_cached(function: Callable[Arguments, Result], **options: Any) -> Cal
     stats = getattr(dispatcher, "stats", None)  # None if NUMBA_DISABLE_JIT is set
     if stats is not None:
         discard_stale(Path(inspect.getfile(function)), Path(stats.cache_path))
-        free_when_loaded(dispatcher)
+        parse_when_needed(dispatcher)
+        load_without_compiler(dispatcher)
         prepend_wheel_cache(dispatcher)
     return dispatcher
 

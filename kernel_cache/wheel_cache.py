@@ -14,6 +14,7 @@ from typing import Any
 
 from numba.core.caching import IndexDataCacheFile, _Cache
 
+from .loading import prepare_runtime
 from .sources import digest_of, path_in_package
 
 
@@ -26,7 +27,7 @@ class WheelCache(_Cache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled function for the given types, from the wheel or else from numba's cache, or None."""
-        target_context.refresh()
+        prepare_runtime(target_context)
         data = self._delivered.load(_without_processor(self._cache._index_key(sig, target_context.codegen())))
         if data is None:
             return self._cache.load_overload(sig, target_context)

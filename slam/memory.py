@@ -6,8 +6,10 @@ import ctypes
 from contextlib import suppress
 from pathlib import Path
 
-M_MMAP_THRESHOLD = -3
+M_TRIM_THRESHOLD = -1
 """Option of glibc's `mallopt`."""
+M_MMAP_THRESHOLD = -3
+"""The same."""
 MADV_DONTNEED = 4
 """Advice of Linux' `madvise`: pages are not needed soon."""
 LARGE_BLOCK = 4 << 20
@@ -21,11 +23,16 @@ def return_large_blocks(size: int = LARGE_BLOCK) -> None:
     """Return blocks of memory of at least `size` bytes to the system when they are freed, from now on.
 
     By default glibc raises the size of such blocks to that of the largest one freed so far, up to 32 MB. Each save
-    copies the growing record of the drive, and the copies before it then leave gaps that hardly fit others. No effect
-    with other C libraries.
+    copies the growing record of the drive, and the copies before it then leave gaps that hardly fit others.
+
+    With a size that is set, glibc shrinks the heap whenever 128 kB at its end are free, and the system clears each page
+    that it gives again. So the heap is shrunk from twice the size on, as glibc does by default. No effect with other C
+    libraries.
     """
     with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).mallopt(M_MMAP_THRESHOLD, size)
+        library = ctypes.CDLL(None)
+        library.mallopt(M_MMAP_THRESHOLD, size)
+        library.mallopt(M_TRIM_THRESHOLD, 2 * size)
 
 
 def return_freed_memory() -> None:

@@ -32,15 +32,19 @@ def _cholesky(matrix):  # type: ignore[no-untyped-def]
 @compiled
 def solve(matrix, vector):  # type: ignore[no-untyped-def]
     """Return x (3,) of M x = v."""
+    return np.array(solution(matrix, vector))
+
+
+@inlined
+def solution(matrix, vector):  # type: ignore[no-untyped-def]
+    """Return the three elements of x of M x = v."""
     l00, l10, l11, l20, l21, l22 = _cholesky(matrix)
     y0 = vector[0] / l00
     y1 = (vector[1] - l10 * y0) / l11
     y2 = (vector[2] - l20 * y0 - l21 * y1) / l22
-    result = np.empty(3)
-    result[2] = y2 / l22
-    result[1] = (y1 - l21 * result[2]) / l11
-    result[0] = (y0 - l10 * result[1] - l20 * result[2]) / l00
-    return result
+    x2 = y2 / l22
+    x1 = (y1 - l21 * x2) / l11
+    return (y0 - l10 * x1 - l20 * x2) / l00, x1, x2
 
 
 @compiled
@@ -75,13 +79,14 @@ def is_positive_definite(matrix):  # type: ignore[no-untyped-def]
     return d > 0.0 and f - e * e / d > 0.0
 
 
-@compiled
+@inlined
 def product(matrix, vector):  # type: ignore[no-untyped-def]
-    """Return M v (3,)."""
-    result = np.empty(3)
-    for k in range(3):
-        result[k] = matrix[k, 0] * vector[0] + matrix[k, 1] * vector[1] + matrix[k, 2] * vector[2]
-    return result
+    """Return the three elements of M v."""
+    return (
+        matrix[0, 0] * vector[0] + matrix[0, 1] * vector[1] + matrix[0, 2] * vector[2],
+        matrix[1, 0] * vector[0] + matrix[1, 1] * vector[1] + matrix[1, 2] * vector[2],
+        matrix[2, 0] * vector[0] + matrix[2, 1] * vector[1] + matrix[2, 2] * vector[2],
+    )
 
 
 @compiled

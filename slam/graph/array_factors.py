@@ -132,7 +132,13 @@ def _subtract_product_with_error(target, weighted, error):  # type: ignore[no-un
 @compiled
 def robust_cost(forms, ends, measured, information, scales, values):  # type: ignore[no-untyped-def]
     """Return twice the robust cost."""
-    total, error, axes = 0.0, np.zeros(3), axes_of(values)
+    return _robust_cost(forms, ends, measured, information, scales, values, axes_of(values), np.zeros(3))
+
+
+@inlined
+def _robust_cost(forms, ends, measured, information, scales, values, axes, error):  # type: ignore[no-untyped-def]
+    """Return twice the robust cost, given the unit vectors along all headings; `error` (3,) is overwritten."""
+    total = 0.0
     for k in range(len(forms)):
         first, second = ends[k]
         _error(forms[k], measured[k], values[first], values[second], axes[first], error)
@@ -153,8 +159,19 @@ def add_normal_equations(  # type: ignore[no-untyped-def]
     diagonal, below  blocks (n, 3, 3) and (b, 3, 3) of the matrix
     right            (n, 3)
     """
-    error, of_first, of_second = np.zeros(3), np.zeros((3, 3)), np.zeros((3, 3))
-    weighted_first, weighted_second, axes = np.zeros((3, 3)), np.zeros((3, 3)), axes_of(values)
+    factors, matrix = (forms, ends, measured, information, scales), (rank, slots, diagonal, below, right)
+    _add_all(factors, values, axes_of(values), matrix, np.zeros(3), np.zeros((4, 3, 3)))
+
+
+@inlined
+def _add_all(factors, values, axes, matrix, error, jacobians):  # type: ignore[no-untyped-def]
+    """Add the normal equations, given the unit vectors along all headings.
+
+    `error` (3,) and `jacobians` (4, 3, 3), those by both variables and the same weighted, are overwritten.
+    """
+    forms, ends, measured, information, scales = factors
+    rank, slots, diagonal, below, right = matrix
+    of_first, of_second, weighted_first, weighted_second = jacobians[0], jacobians[1], jacobians[2], jacobians[3]
     for k in range(len(forms)):
         first, second = ends[k]
         _error(forms[k], measured[k], values[first], values[second], axes[first], error)

@@ -9,10 +9,11 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.pose_steps import pose_error
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.line_matcher import Registration
-from ..matching.point_matcher import Prediction, pose_error
+from ..matching.point_matcher import Prediction
 from ..odometry.velocity import VelocityFilter
 from .prediction_error import PredictionError
 from .slip_statistics import SlipStatistics

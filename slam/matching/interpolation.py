@@ -21,18 +21,25 @@ BLOCK = 64
 
 
 @compiled
-def add_points(pose, points, field, sigma, information, gradient):  # type: ignore[no-untyped-def]
+def memory_for(count):  # type: ignore[no-untyped-def]
+    """Return memory to interpolate up to `count` points at once: rows, vectors, and what a block needs."""
+    return np.empty(count, np.int64), np.empty((count, 2)), np.zeros((5, BLOCK)), np.zeros((4, BLOCK), np.int32)
+
+
+@inlined
+def add_points(pose, points, field, sigma, information, gradient, memory):  # type: ignore[no-untyped-def]
     """Set the normal equations of points (p, 4) with normals, in the base's frame, with the base at `pose`.
 
     Each point measures the offset from the nearest point of the field along its normal, or along both axes if it has
     none. The offset is zero with standard deviation `sigma` (metres) and a Cauchy kernel of the same scale. Points in
     unseen cells are left out: what is seen for the first time, such as the continuation of a wall, is near known points
-    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes.
+    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes. For `memory` see `memory_for`.
     """
+    rows, vectors, _, _ = memory
+    found = _interpolate(pose, points, field, memory)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    rows, vectors = interpolate(pose, points, field)
-    for m in range(len(rows)):
+    for m in range(found):
         point, dx, dy = points[rows[m]], vectors[m, 0], vectors[m, 1]
         normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
         weight = 1.0 / (sigma * sigma + dx * dx + dy * dy)
@@ -74,20 +81,28 @@ def interpolate(pose, points, field):  # type: ignore[no-untyped-def]
     nearest to the four cells around, so that it is linear near a surface. Those from another surface, on the other
     side, are left out.
     """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    rows, vectors, found = np.empty(len(points), np.int64), np.empty((len(points), 2)), 0
-    placed, offsets = np.zeros((5, BLOCK)), np.zeros((4, BLOCK), np.int32)
+    memory = memory_for(len(points))
+    found = _interpolate(pose, points, field, memory)
+    return memory[0][:found], memory[1][:found]
+
+
+@inlined
+def _interpolate(pose, points, field, memory):  # type: ignore[no-untyped-def]
+    """Set the first rows and vectors of `memory`, and return how many there are; see `interpolate`."""
+    rows, vectors, placed, offsets = memory
+    c, s, found = math.cos(pose[2]), math.sin(pose[2]), 0
     for start in range(0, len(points), BLOCK):
-        count = min(BLOCK, len(points) - start)
+        count, begin = min(BLOCK, len(points) - start), found
         _place(placed, points, start, count, pose[0], pose[1], c, s, field[0][0], field[0][1])
-        count = _look_up(rows[found:], offsets, placed, points, start, count, c, s, field)
+        count = _look_up(rows[begin:], offsets, placed, points, start, count, c, s, field)
         _add_cells(placed, offsets)
-        for m, row in enumerate(rows[found : found + count]):
+        for m in range(count):
             total = placed[4, m]
             if total > 0.0:
-                rows[found], vectors[found, 0], vectors[found, 1] = row, placed[2, m] / total, placed[3, m] / total
+                rows[found] = rows[begin + m]
+                vectors[found, 0], vectors[found, 1] = placed[2, m] / total, placed[3, m] / total
                 found += 1
-    return rows[:found], vectors[:found]
+    return found
 
 
 @inlined

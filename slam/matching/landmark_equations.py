@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from drivers.compiled import compiled
+from drivers.compiled import inlined
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
@@ -47,7 +47,7 @@ class WallArrays(NamedTuple):
     covariance: Floats
 
 
-@compiled
+@inlined
 def add_walls(  # type: ignore[no-untyped-def]
     pose, segments, walls, roughness, offset_gate, heading_gate, overlaps, information, gradient
 ):
@@ -89,7 +89,7 @@ def add_walls(  # type: ignore[no-untyped-def]
     information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
 
 
-@compiled
+@inlined
 def _wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-untyped-def]
     """Return the information of the offset and heading of a segment relative to its wall: (yy, yt, tt).
 
@@ -102,7 +102,7 @@ def _wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-unt
     return tt / determinant, -yt / determinant, yy / determinant
 
 
-@compiled
+@inlined
 def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # type: ignore[no-untyped-def]
     """Match a segment at (x, y, heading) in the map with the nearest wall inside the gates.
 
@@ -128,7 +128,7 @@ def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # ty
     return match, best, overlap, offset, turn, along
 
 
-@compiled
+@inlined
 def add_corners(  # type: ignore[no-untyped-def]
     pose, observed, corners, roughness, gate, information, gradient
 ):
@@ -165,7 +165,7 @@ def add_corners(  # type: ignore[no-untyped-def]
                 information[k, m] += x * derivatives[m][0] + y * derivatives[m][1]
 
 
-@compiled
+@inlined
 def _corner_weights(corner, known, c, s, roughness):  # type: ignore[no-untyped-def]
     """Return the information (xx, xy, yy) of the position of a corner relative to that of the map, in the map's axes.
 

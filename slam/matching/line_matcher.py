@@ -12,17 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import axes_of
+from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import CornerPoints, Floats, Segments
-from ..geometry.small_matrices import product, solve
+from ..geometry.small_matrices import product, solution
 from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField
-from .interpolation import add_points
+from .interpolation import add_points, memory_for
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE
-from .point_matcher import FINE_SIGMA, move_back, pose_error
+from .point_matcher import FINE_SIGMA
 from .scan_points import ScanPoints, segments_of
 
 # Metres across a wall between it and a segment, for each Gauss-Newton step; also between two
@@ -107,8 +108,6 @@ def register(
         field.arrays,
         roughness,
     )  # fmt: skip
-    pose[2] = se2.wrap(pose[2])
-    point_pose[2] = se2.wrap(point_pose[2])
     return Registration(pose, information, point_pose, point_information, matched / total if total else 0.0)
 
 
@@ -123,27 +122,35 @@ def _register(  # type: ignore[no-untyped-def]
     information, point_information = np.zeros((3, 3)), np.zeros((3, 3))
     gradient, point_gradient = np.zeros(3), np.zeros(3)
     pose, point_pose, overlaps = start.copy(), start.copy(), np.zeros(len(scan_segments.frame))
+    kept, memory, total = np.empty_like(all_points), memory_for(len(all_points)), np.empty((3, 3))
     for step in range(len(MATCH_OFFSET_GATES)):
         offset_gate, heading_gate = MATCH_OFFSET_GATES[step], MATCH_HEADING_GATES[step]
         information[:], gradient[:] = 0.0, 0.0
         add_walls(pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient)
         add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
-        others = _without_matched(all_points, segment_of, overlaps)
-        add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient)
-        total = information + point_information + prior
-        point_pose[:] = pose
-        move_back(pose, solve(total, gradient + point_gradient + product(prior, pose_error(prediction, pose))))
+        others = kept[: _keep_unmatched(all_points, segment_of, overlaps, kept)]
+        add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient, memory)
+        pull = product(prior, difference(prediction, pose))
+        for k in range(3):
+            point_pose[k] = pose[k]
+            gradient[k] = gradient[k] + point_gradient[k] + pull[k]
+            for m in range(3):
+                total[k, m] = information[k, m] + point_information[k, m] + prior[k, m]
+        move_back(pose, solution(total, gradient))
     # From where it is linearised, and without the prior: odometry has a factor of its own in the graph.
-    move_back(point_pose, solve(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
+    move_back(point_pose, solution(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
+    wrap_heading(pose)
+    wrap_heading(point_pose)
     return pose, information, point_information, point_pose, overlaps.sum()
 
 
-@compiled
-def _without_matched(points, segment_of, overlaps):  # type: ignore[no-untyped-def]
-    """Return the points (q, 4) that are on no segment, or on one that was not matched with a wall."""
-    kept, count = np.empty_like(points), 0
+@inlined
+def _keep_unmatched(points, segment_of, overlaps, kept):  # type: ignore[no-untyped-def]
+    """Copy the points (q, 4) that are on no segment, or on one that was not matched with a wall; return how many."""
+    count = 0
     for k in range(len(points)):
         if segment_of[k] < 0 or overlaps[segment_of[k]] == 0.0:
-            kept[count] = points[k]
+            for c in range(4):
+                kept[count, c] = points[k, c]
             count += 1
-    return kept[:count]
+    return count

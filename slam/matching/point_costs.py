@@ -77,18 +77,6 @@ def crossing_beams(field, points, pose):  # type: ignore[no-untyped-def]
     return count
 
 
-@compiled
-def _cost_below(field, points, pose, limit):  # type: ignore[no-untyped-def]
-    """Return the cost of points (p, 4) with normals at a pose, or any value from `limit` on if it reaches that."""
-    total = 0.0
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(len(points)):
-        total += _point_cost(field, points, k, pose, c, s)[0]
-        if total >= limit:
-            break
-    return total
-
-
 @inlined
 def _point_cost(field, points, k, pose, c, s):  # type: ignore[no-untyped-def]
     """Return the cost of point k at a pose with cosine `c` and sine `s`, and if it is in seen space."""
@@ -117,28 +105,63 @@ def cost_at(field, grid, x, y):  # type: ignore[no-untyped-def]
 @compiled
 def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
     """Return the pose with the lowest cost on a grid around the prediction; each point's cost counts `share` times."""
+    best, turned, facing = prediction.copy(), np.empty((len(points), 4)), np.empty(len(points), np.int64)
+    lowest = share * points_cost(field, points, best)[0]
+    _search(field, points, share, prediction, prior, kernel, shift, turn, best, lowest, turned, facing)
+    return best
+
+
+@inlined
+def _search(  # type: ignore[no-untyped-def]
+    field, points, share, prediction, prior, kernel, shift, turn, best, lowest, turned, facing
+):
+    """Replace the pose `best`, whose cost is `lowest`, by the best one of the grid; see `search_grid`.
+
+    `turned` (p, 4) and `facing` (p,) are overwritten: of all that a point's cost depends on, only the point's place
+    differs between poses of the same heading.
+    """
     turns, steps = math.ceil(turn / SEARCH_TURN_STEP), math.ceil(shift / SEARCH_STEP)
     c, s = math.cos(prediction[2]), math.sin(prediction[2])
-    best, pose = prediction.copy(), prediction.copy()
-    lowest = share * points_cost(field, points, pose)[0]
     # From the prediction outwards: a low cost found early ends the others' sums early.
     for k in range(2 * turns + 1):
         angle = _outwards(k) * SEARCH_TURN_STEP
-        pose[2] = prediction[2] + angle
+        heading = prediction[2] + angle
+        turn_c, turn_s = math.cos(angle), math.sin(angle)
+        _turn(points, math.cos(heading), math.sin(heading), turned, facing)
         for i in range(2 * steps + 1):
             for j in range(2 * steps + 1):
                 x, y = _outwards(i) * SEARCH_STEP, _outwards(j) * SEARCH_STEP
-                ahead, left = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x
+                ahead, left = turn_c * x + turn_s * y, turn_c * y - turn_s * x
                 cost = 0.5 * kernel**2 * math.log(1.0 + quadratic_form(prior, ahead, left, angle) / kernel**2)
                 if cost >= lowest:
                     continue
-                pose[0] = prediction[0] + c * x - s * y
-                pose[1] = prediction[1] + s * x + c * y
-                cost += share * _cost_below(field, points, pose, (lowest - cost) / share)
+                pose_x, pose_y = prediction[0] + c * x - s * y, prediction[1] + s * x + c * y
+                cost += share * _cost_below(field, turned, facing, pose_x, pose_y, (lowest - cost) / share)
                 if cost < lowest:
                     lowest = cost
-                    best[:] = pose
-    return best
+                    best[0], best[1], best[2] = pose_x, pose_y, heading
+
+
+@inlined
+def _turn(points, c, s, turned, facing):  # type: ignore[no-untyped-def]
+    """Set `turned` (p, 4), the summands c x, s y, s x and c y of turned points, and the grids (p,) that they face."""
+    for k in range(len(points)):
+        x, y = points[k, 0], points[k, 1]
+        turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3] = c * x, s * y, s * x, c * y
+        facing[k] = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
+
+
+@inlined
+def _cost_below(field, turned, facing, pose_x, pose_y, limit):  # type: ignore[no-untyped-def]
+    """Return the cost of points, see `_turn`, at a position, or any value from `limit` on if it reaches that."""
+    total, origin_x, origin_y = 0.0, field[0][0], field[0][1]
+    for k in range(len(turned)):
+        x = (pose_x + turned[k, 0] - turned[k, 1] - origin_x) / FIELD_CELL
+        y = (pose_y + turned[k, 2] + turned[k, 3] - origin_y) / FIELD_CELL
+        total += cost_at(field, facing[k], x, y)[0]
+        if total >= limit:
+            break
+    return total
 
 
 @inlined

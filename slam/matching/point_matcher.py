@@ -35,10 +35,11 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
+from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse, log_determinant, product, quadratic_form, solve
+from ..geometry.small_matrices import inverse, log_determinant, product, quadratic_form, solution
 from .distance_field import DistanceField
-from .interpolation import add_points
+from .interpolation import add_points, memory_for
 from .offset_tiles import FIELD_CELL
 from .point_costs import COARSE_SIGMA, crossing_beams, points_cost, search_grid
 from .scan_points import subsample
@@ -219,7 +220,6 @@ def match_from(
     pose, information, cost, fit, known = _match_from(
         field.arrays, points, start, prediction.pose, prediction.information, prediction.kernel, sigmas
     )
-    pose[2] = se2.wrap(pose[2])
     total = cost / POINTS_PER_OBJECT + prediction.cost_of(pose)
     return PointMatch(pose, information, prediction, total, fit, known)
 
@@ -261,18 +261,25 @@ def _sum_of_squares(points):  # type: ignore[no-untyped-def]
 
 @compiled
 def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # type: ignore[no-untyped-def]
-    pose = start.copy()
+    pose, memory = start.copy(), memory_for(len(points))
     information, gradient, conditioning = np.zeros((3, 3)), np.zeros(3), 1e-6 * np.eye(3)
+    robust, total = np.empty((3, 3)), np.empty((3, 3))
     for sigma in sigmas:
         for _ in range(MAX_STEPS):
-            add_points(pose, points, field, sigma, information, gradient)
-            error = pose_error(prediction, pose)
-            robust = prior / (1.0 + quadratic_form(prior, error[0], error[1], error[2]) / kernel**2)
-            move = solve(information + robust + conditioning, gradient + product(robust, error))
+            add_points(pose, points, field, sigma, information, gradient, memory)
+            error = difference(prediction, pose)
+            scale = 1.0 + quadratic_form(prior, error[0], error[1], error[2]) / kernel**2
+            for k in range(3):
+                for m in range(3):
+                    robust[k, m] = prior[k, m] / scale
+                    total[k, m] = information[k, m] + robust[k, m] + conditioning[k, m]
+            x, y, turn = product(robust, error)
+            move = solution(total, (gradient[0] + x, gradient[1] + y, gradient[2] + turn))
             move_back(pose, move)
             if abs(move[0]) < LAST_STEP and abs(move[1]) < LAST_STEP and abs(move[2]) < LAST_STEP:
                 break
     cost, fit, known = points_cost(field, points, pose)
+    wrap_heading(pose)
     return pose, information, cost, fit, known
 
 
@@ -281,20 +288,3 @@ def _squared_distance(prediction, information, pose):  # type: ignore[no-untyped
     c, s = math.cos(prediction[2]), math.sin(prediction[2])
     x, y = pose[0] - prediction[0], pose[1] - prediction[1]
     return quadratic_form(information, c * x + s * y, c * y - s * x, wrap_angle(pose[2] - prediction[2]))
-
-
-@compiled
-def pose_error(prediction, pose):  # type: ignore[no-untyped-def]
-    """Return the difference (3,) of a pose from its prediction, the position in the pose's own axes."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    x, y = pose[0] - prediction[0], pose[1] - prediction[1]
-    return np.array([c * x + s * y, -s * x + c * y, wrap_angle(pose[2] - prediction[2])])
-
-
-@compiled
-def move_back(pose, move):  # type: ignore[no-untyped-def]
-    """Move a pose in place against a step (3,) along its own axes."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    pose[0] -= c * move[0] - s * move[1]
-    pose[1] -= s * move[0] + c * move[1]
-    pose[2] -= move[2]

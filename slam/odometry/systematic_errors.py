@@ -117,7 +117,7 @@ def _corrected(motions, length, turning, veer, frame):  # type: ignore[no-untype
     """Return motions (n, 3) without systematic errors: first those of the wheels, then that of odometry's frame."""
     corrected = np.empty(motions.shape)
     for k in range(len(motions)):
-        ahead, left, before = motions[k]
+        ahead, left, before = motions[k, 0], motions[k, 1], motions[k, 2]
         turn = turning * before + veer * ahead
         # The chord of an arc points ahead by half its turn.
         bend = 0.5 * (turn - before) + frame[2]

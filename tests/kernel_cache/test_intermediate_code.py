@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from kernel_cache.intermediate_code import free_when_loaded
+from kernel_cache.intermediate_code import parse_when_needed
 
 KERNEL = """
 from kernel_cache import compile_cached
@@ -59,10 +59,10 @@ def run(tmp_path: Path):  # type: ignore[no-untyped-def]
     return run_program
 
 
-def test_bitcode_of_a_loaded_function_is_freed_and_parsed_if_another_one_is_compiled_with_it(run) -> None:  # type: ignore[no-untyped-def]
+def test_bitcode_of_a_loaded_function_is_parsed_if_another_one_is_compiled_with_it(run) -> None:  # type: ignore[no-untyped-def]
     assert run(CALL) == ["3.0", "0"]  # compiled
     assert run(COMPILE) == ["3.0", "1", "True", "6.0", "10.0", "False"]
 
 
 def test_another_version_of_numba_is_left_as_it_is() -> None:
-    free_when_loaded(object())
+    parse_when_needed(object())
