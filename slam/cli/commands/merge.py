@@ -111,6 +111,7 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         "seed": None,
         "scans": len(session.scans),
         "odometry": sum(len(history) for history in session.odometry),
+        "start": float(finished.stamps[0]),
         "duration": duration,
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),

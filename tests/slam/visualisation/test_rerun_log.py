@@ -274,8 +274,8 @@ def test_a_keyframe_that_is_in_the_map_no_more_is_cleared(tmp_path):
 
 
 def test_suspects_are_marked_and_named_from_their_own_time_on(tmp_path):
-    events = [bare_keyframe(0), bare_keyframe(1), SuspectFound(1, 1.0, "at 1.0 s: the map", np.array([3.0, 4.0]))]
-    events.append(SuspectFound(0, 0.0, "at 0.0 s: odometry", np.array([5.0, 6.0])))
+    events = [bare_keyframe(0), bare_keyframe(1), SuspectFound(1, 1.0, "at 0:01: the map", np.array([3.0, 4.0]))]
+    events.append(SuspectFound(0, 0.0, "at 0:00: odometry", np.array([5.0, 6.0])))
     log_events(tmp_path / "log.rrd", events)
     marks = [rows(tmp_path / "log.rrd", f"/world/suspects/{k}", "Points3D:positions") for k in (0, 1)]
     assert [[(keyframe, position[0][:2]) for keyframe, position in rows_of] for rows_of in marks] == [
@@ -283,7 +283,7 @@ def test_suspects_are_marked_and_named_from_their_own_time_on(tmp_path):
         [(0, [5.0, 6.0])],
     ]
     texts = [text[0] for _, text in rows(tmp_path / "log.rrd", "/log", "TextLog:text")]
-    assert texts == ["SUSPECT at 0.0 s: odometry", "SUSPECT at 1.0 s: the map"]
+    assert texts == ["SUSPECT at 0:00: odometry", "SUSPECT at 0:01: the map"]
 
 
 def test_closing_twice_is_allowed_and_later_events_are_ignored(tmp_path):
