@@ -22,6 +22,7 @@ from ..events import Finished, Sink
 from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
+from ..mapping.odometry_segments import MAX_BREAK
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
@@ -191,8 +192,11 @@ def _shifted(messages: Iterable[Message], after: float, statistics: InputStatist
 
 
 def shift_after(first: float, after: float) -> float:
-    """Return the seconds by which stamps are shifted if the first one is earlier than `after`, else zero."""
-    return float(np.ceil(after - first)) + 1.0 if first < after else 0.0
+    """Return the seconds by which stamps are shifted if the first one is earlier than `after`, else zero.
+
+    Such stamps do not tell what happened in between: they follow so late that no run seems to have been interrupted.
+    """
+    return float(np.ceil(after - first)) + MAX_BREAK + 1.0 if first < after else 0.0
 
 
 def process_messages(
