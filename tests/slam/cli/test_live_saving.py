@@ -12,7 +12,7 @@ import sys
 import termios
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -50,54 +50,59 @@ def names(folder: Path) -> set[str]:
     return {entry.name for entry in folder.iterdir()}
 
 
-def test_a_lost_terminal_ends_the_run_with_a_complete_map(tmp_path: Path, wclm: Any) -> None:
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    """Robot of several runs, one after the other."""
+    with Robot(tmp_path_factory.mktemp("robot")) as robot:
+        yield robot
+
+
+def test_a_lost_terminal_ends_the_run_with_a_complete_map(tmp_path: Path, robot: Robot, wclm: Any) -> None:
     out = tmp_path / "a" / "map"
     out.parent.mkdir()
     terminal, inner = pty.openpty()
-    with Robot(tmp_path) as robot:
-        run = LiveRun(robot, out, "--no-serve", stdin=inner, preexec_fn=use_as_terminal)
-        os.close(inner)
-        wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
-        assert names(out) == SAVED
-        assert run.summary["unfinished"]
-        first = out.stat().st_ino
-        os.write(terminal, b"s")
-        wait_for(lambda: out.exists() and out.stat().st_ino != first, run.process)
-        os.close(terminal)  # sends SIGHUP, as the end of an SSH session does
-        status, _, err = run.wait()
+    run = LiveRun(robot, out, "--no-serve", stdin=inner, preexec_fn=use_as_terminal)
+    os.close(inner)
+    wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
+    assert names(out) == SAVED
+    assert run.summary["unfinished"]
+    first = out.stat().st_ino
+    os.write(terminal, b"s")
+    wait_for(lambda: out.exists() and out.stat().st_ino != first, run.process)
+    os.close(terminal)  # sends SIGHUP, as the end of an SSH session does
+    status, _, err = run.wait()
     assert (status, "Traceback" in err) == (0, False), err
     assert names(out) == RESULTS - {PICTURE}
     assert names(out.parent) == {"map", "stdout", "stderr"}
     assert "unfinished" not in run.summary
 
 
-def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Path, wclm: Any) -> None:
+def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Path, robot: Robot, wclm: Any) -> None:
     out, status = tmp_path / "map", tmp_path / "status.json"
     terminal, inner = pty.openpty()
 
     def frozen() -> bool:
         return bool(json.loads(status.read_text())["frozen"])
 
-    with Robot(tmp_path) as robot:
-        options = ("--no-serve", "--no-review", "--status", str(status))
-        run = LiveRun(robot, out, *options, stdin=inner, preexec_fn=use_as_terminal)
-        os.close(inner)
-        wait_for(lambda: wclm("mode", out, "localization").exit_code == 0, run.process)  # there is a map by then
-        wait_for(frozen, run.process)
-        assert wclm("mode", out).stdout == f"{out}: localization\n"
-        assert wclm("mode", out, "localization").exit_code == 0
-        assert wclm("save", out).exit_code == 0
-        keyframes = run.summary["keyframes"]
-        time.sleep(2.0)
-        assert wclm("save", out).exit_code == 0
-        assert run.summary["keyframes"] == keyframes
-        os.write(terminal, b"l")
-        wait_for(lambda: not frozen(), run.process)
-        assert wclm("mode", out).stdout == f"{out}: mapping\n"
-        time.sleep(2.0)
-        assert wclm("mode", out, "localization").exit_code == 0
-        code, _, err = run.end()
-        os.close(terminal)
+    options = ("--no-serve", "--no-review", "--status", str(status))
+    run = LiveRun(robot, out, *options, stdin=inner, preexec_fn=use_as_terminal)
+    os.close(inner)
+    wait_for(lambda: wclm("mode", out, "localization").exit_code == 0, run.process)  # there is a map by then
+    wait_for(frozen, run.process)
+    assert wclm("mode", out).stdout == f"{out}: localization\n"
+    assert wclm("mode", out, "localization").exit_code == 0
+    assert wclm("save", out).exit_code == 0
+    keyframes = run.summary["keyframes"]
+    time.sleep(2.0)
+    assert wclm("save", out).exit_code == 0
+    assert run.summary["keyframes"] == keyframes
+    os.write(terminal, b"l")
+    wait_for(lambda: not frozen(), run.process)
+    assert wclm("mode", out).stdout == f"{out}: mapping\n"
+    time.sleep(2.0)
+    assert wclm("mode", out, "localization").exit_code == 0
+    code, _, err = run.end()
+    os.close(terminal)
     assert (code, "Traceback" in err) == (0, False), err
     assert run.summary["keyframes"] > keyframes
     assert names(out / SESSION)
@@ -105,12 +110,11 @@ def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_killed_run_leaves_the_saved_map_and_is_recovered(tmp_path: Path, wclm: Any) -> None:
+def test_a_killed_run_leaves_the_saved_map_and_is_recovered(tmp_path: Path, robot: Robot, wclm: Any) -> None:
     out = tmp_path / "map"
-    with Robot(tmp_path) as robot:
-        run = LiveRun(robot, out)
-        wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
-        run.end(signal.SIGKILL)
+    run = LiveRun(robot, out)
+    wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
+    run.end(signal.SIGKILL)
     assert names(out) == SAVED
     assert read_session(out).slam_state.mapper.keyframe_count == run.summary["keyframes"]
     (left,) = tmp_path.glob(".map-*")
