@@ -49,8 +49,6 @@ def summarise_run(
     slam_seconds  time that the pipeline took
     seconds       time from the first message to the end
     """
-    from ..io.tum import Trajectory
-
     report = run_input.report
     return {
         "recording": run_input.name,
@@ -63,7 +61,7 @@ def summarise_run(
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": Trajectory(finished.stamps, finished.poses).length,
+        "path_length": path_length(finished, statistics.first, statistics.last),
         "slam_seconds": slam_seconds,
         "wall_seconds": seconds,
         "real_time_factor": statistics.duration / slam_seconds,
@@ -76,6 +74,14 @@ def summarise_run(
         "slam": finished.summary,
         "versions": versions(),
     } | run_input.facts()
+
+
+def path_length(finished: Finished, first: float, last: float) -> float:
+    """Return the metres driven between two stamps (seconds): those of one recording of a session."""
+    from ..io.tum import Trajectory
+
+    own = (finished.stamps >= first) & (finished.stamps <= last)
+    return Trajectory(finished.stamps[own], finished.poses[own]).length if own.any() else 0.0
 
 
 def format_summary(result: RunResult, out: Path) -> list[str]:

@@ -68,7 +68,9 @@ def test_continue_extends_the_map(wclm: Any, folder: Path, session: Path) -> Non
     assert wclm("run", folder / "second.mcap", "--continue", "both", "--out", "both", "--no-review").exit_code == 2
     again = wclm("run", folder / "first.mcap", "--continue", "both", "--out", "both", "--overwrite", "--no-review")
     assert again.exit_code == 0, again.output
-    assert len(json.loads(Path("both", SUMMARY).read_text())["recordings"]) == 3
+    third = json.loads(Path("both", SUMMARY).read_text())
+    assert len(third["recordings"]) == 3
+    assert third["path_length"] == pytest.approx(json.loads((session / SUMMARY).read_text())["path_length"], rel=0.05)
 
 
 def test_a_recording_with_earlier_stamps_is_no_interrupted_run(wclm: Any, folder: Path, session: Path) -> None:
