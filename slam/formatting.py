@@ -5,13 +5,6 @@ from __future__ import annotations
 MINUTE, HOUR = 60, 3600
 
 
-def clock(seconds: float) -> str:
-    """Return `minutes:seconds`, or `hours:minutes:seconds` from one hour on."""
-    whole = max(0, int(seconds))
-    hours, minutes, rest = whole // HOUR, whole % HOUR // MINUTE, whole % MINUTE
-    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
-
-
 def duration(seconds: float) -> str:
     """Return a duration in seconds, minutes or hours, by its size."""
     if seconds < 2 * MINUTE:

@@ -75,13 +75,15 @@ def summarise_session(session: StoredSession, summary: dict[str, Any], publisher
     """
     state, segments = session.slam_state, OdometrySegments(session.odometry, session.starts)
     poses = state.mapper.keyframe_poses
-    drive = drive_of(session.scans, session.starts, state.trajectory.at_scans(poses), state.odometry_model)
-    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
-    publisher.publish_suspects(suspects, state.keyframe_stamps)
+    path = segments.trajectory(state.trajectory, poses)
+    start = float(path[0][0])
+    drive = drive_of(session.scans, session.starts, state.trajectory.at_scans(poses), state.odometry_model, start)
+    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps, start), *find_suspects(drive)]
+    publisher.publish_suspects(suspects, state.keyframe_stamps, start)
     bends = settle_wall_bends(state.mapper, session.scan_history())
     publisher.publish_residuals(session.scans[-1].stamp, state.mapper)
-    summary = summary | {"wall_bends": bends, "suspects": [suspect.row() for suspect in suspects]}
-    result = final_result(state, segments.trajectory(state.trajectory, poses), summary)
+    summary = summary | {"wall_bends": bends, "suspects": [suspect.row(start) for suspect in suspects]}
+    result = final_result(state, path, summary)
     publisher.publish(result)
     return result
 

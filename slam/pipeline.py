@@ -302,7 +302,9 @@ class Slam:
         after = self._results_after
         stamps, poses = stamps[stamps > after], poses[stamps > after]
         self._publisher.publish_residuals(float(stamps[-1]), state.mapper)
-        suspects = check_run(state, journal, self._publisher, after=after, predicted=self._motions.predicted)
+        suspects = check_run(
+            state, journal, self._publisher, start=float(stamps[0]), after=after, predicted=self._motions.predicted
+        )
         result = final_result(state, (stamps, poses), summary | {"suspects": suspects})
         self._publisher.publish(result)
         return result

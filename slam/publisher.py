@@ -115,11 +115,11 @@ class Publisher:
         if (notice := self._deviations.summary(scans)) is not None:
             self.publish(notice)
 
-    def publish_suspects(self, suspects: Sequence[Suspect], keyframe_stamps: Sequence[float]) -> None:
-        """Publish the findings of the checks of a finished run."""
+    def publish_suspects(self, suspects: Sequence[Suspect], keyframe_stamps: Sequence[float], start: float) -> None:
+        """Publish the findings of the checks of a finished run, with times since the stamp `start` (seconds)."""
         for suspect in suspects:
             index = max(bisect.bisect_right(keyframe_stamps, suspect.stamp) - 1, 0)
-            self.publish(SuspectFound(index, suspect.stamp, suspect.sentence, suspect.position.copy()))
+            self.publish(SuspectFound(index, suspect.stamp, suspect.sentence(start), suspect.position.copy()))
 
     def publish_state(self, stamp: float, state: LocalisationState) -> None:
         """Publish a new localisation state."""

@@ -124,20 +124,21 @@ def find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:
 
 
 def check_run(
-    state: SlamState, journal: Journal, publisher: Publisher, *, after: float, predicted: bool
+    state: SlamState, journal: Journal, publisher: Publisher, *, start: float, after: float, predicted: bool
 ) -> list[dict[str, object]]:
     """Check the finished run against itself; publish the findings and return the summary's part.
 
+    start      stamp (seconds) from which times in texts are counted
     after      stamp (seconds) up to which findings are left out; -inf for none
     predicted  true if motions are predicted, as there is no odometry
     """
     placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
-    drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model)
-    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps), *find_suspects(drive)]
+    drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model, start)
+    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps, start), *find_suspects(drive)]
     if predicted:
         suspects += unconstrained_stretches(state.trajectory, state.mapper.keyframe_poses, state.odometry_model)
     else:
         suspects += unmatched_stretches(state.mapper, state.trajectory, state.keyframe_stamps)
     suspects = [suspect for suspect in suspects if suspect.stamp > after]
-    publisher.publish_suspects(suspects, state.keyframe_stamps)
-    return [suspect.row() for suspect in suspects]
+    publisher.publish_suspects(suspects, state.keyframe_stamps, start)
+    return [suspect.row(start) for suspect in suspects]

@@ -132,7 +132,7 @@ def compile_estimation() -> None:
     history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
     placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
-    find_suspects(drive_of(scans, [0], placed, state.odometry_model))
+    find_suspects(drive_of(scans, [0], placed, state.odometry_model, 0.0))
     final_result(state, placed, {})
 
 

@@ -11,7 +11,7 @@ from typer.main import get_command
 
 from drivers import se2
 from drivers.messages import Floats
-from drivers.timing import turns
+from drivers.timing import beam_order, turns
 from features.kernel import extract_features
 from kernel_cache import is_cached
 from slam.cli import COLLECTION_THRESHOLD
@@ -54,17 +54,31 @@ def command_line_is_built_once() -> Iterator[None]:
 
 @pytest.fixture(autouse=True, scope="session")
 def scans_are_matched_once() -> Iterator[None]:
-    """Keep the motions between scans from which the timing of a recording is estimated: most of the time that it takes
-    to open one, and many tests open the same ones again.
+    """Keep the matches of scans from which the timing of a recording is estimated: most of the time that it takes to
+    open one, and many tests open the same ones again.
     """
-    measure, known = turns._motion, {}
+    measure, compare = turns._motion, beam_order._costs
+    motions: dict[bytes, se2.Pose | None] = {}
+    costs: dict[bytes, tuple[float, ...] | None] = {}
 
     def measure_once(before: Floats, points: Floats, guess: se2.Pose) -> se2.Pose | None:
-        key = blake2b(b"".join(array.tobytes() for array in (guess, before, points))).digest()
-        if key not in known:
-            known[key] = measure(before, points, guess)
-        return known[key]
+        key = digest(guess, before, points)
+        if key not in motions:
+            motions[key] = measure(before, points, guess)
+        return motions[key]
+
+    def compare_once(run: turns.Run, first: int, second: int) -> tuple[float, ...] | None:
+        scans = [(scan.ranges, scan.angles, scan.time_offsets) for scan in (run.scans[first], run.scans[second])]
+        key = digest(*scans[0], *scans[1], run.poses[[first, second]], run.twists[[first, second]])
+        if key not in costs:
+            costs[key] = compare(run, first, second)
+        return costs[key]
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(turns, "_motion", measure_once)
+        patch.setattr(beam_order, "_costs", compare_once)
         yield
+
+
+def digest(*arrays: Floats) -> bytes:
+    return blake2b(b"".join(array.tobytes() for array in arrays)).digest()

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..elapsed import elapsed
 from ..messages import Message, Odometry, Scan
 
 MIN_DURATION = 5.0
@@ -36,6 +37,7 @@ class FrozenOdometryDetector:
 
     def __init__(self) -> None:
         self.found: list[FrozenOdometry] = []
+        self._first: float | None = None  # stamp of the first message
         self._pose: list[float] | None = None
         self._start = self._end = 0.0  # stamps of the first and last odometry with this pose
         self._view: Scan | None = None  # the first scan, or the last one that was found changed
@@ -43,6 +45,8 @@ class FrozenOdometryDetector:
 
     def add(self, message: Message) -> None:
         """Process the next message."""
+        if self._first is None:
+            self._first = message.stamp
         if isinstance(message, Odometry):
             pose = message.pose.tolist()
             if pose != self._pose:
@@ -67,7 +71,7 @@ class FrozenOdometryDetector:
             return None
         longest = max(self.found, key=lambda frozen: frozen.duration)
         times = "once" if len(self.found) == 1 else f"{len(self.found)} times"
-        when = f"the longest {longest.duration:.1f} s at {longest.start:.3f} s"
+        when = f"the longest {longest.duration:.1f} s at {elapsed(longest.start - (self._first or 0.0))}"
         return f"odometry stands still while the scans change ({times}, {when})"
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .. import se2
+from ..elapsed import elapsed
 from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport
 from ..path_length import path_length
 from .odometry_speed import MIN_INTERVAL
@@ -163,8 +164,9 @@ def _rate_and_gaps(stamps: Floats) -> tuple[float | None, list[Gap]]:
 
 
 def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> list[str]:
-    """Return one line of text for each problem that a user should know of."""
+    """Return one line of text for each problem that a user should know of, with times since the recording's start."""
     warnings: list[str] = []
+    start = info.start or 0.0
     if not info.scans:
         warnings.append("no scans")
     if not info.odometry:
@@ -180,15 +182,16 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
     if info.invalid_share is not None and info.invalid_share > MAX_INVALID_SHARE:
         warnings.append(f"{100.0 * info.invalid_share:.0f} % of the beams have no return")
     warnings += _offset_warnings(info)
-    warnings += _gap_warnings("scans", info.scan_gaps)
-    warnings += _gap_warnings("odometry", info.odometry_gaps)
+    warnings += _gap_warnings("scans", info.scan_gaps, start)
+    warnings += _gap_warnings("odometry", info.odometry_gaps, start)
     if info.scans and info.odometry:
-        warnings += _overlap_warnings(np.array(scans.stamps), odometry)
+        warnings += _overlap_warnings(np.array(scans.stamps), odometry, start)
     if info.odometry_jumps:
         count, first = len(info.odometry_jumps), info.odometry_jumps[0]
         limits = f"{MAX_SPEED:g} m/s or {MAX_TURN_RATE:g} rad/s"
         unit = "; is it in millimetres or degrees?" if 2 * count > info.odometry else ""
-        warnings.append(f"{_count(count, 'jump')} of the odometry, faster than {limits}, first at {first:.3f} s{unit}")
+        jumps, when = f"{_count(count, 'jump')} of the odometry", f"first at {elapsed(first - start)}"
+        warnings.append(f"{jumps}, faster than {limits}, {when}{unit}")
     warnings += info.report.doubts
     if info.report.skipped:
         warnings.append(f"{_count(info.report.skipped, 'entry', 'entries')} skipped, first {info.report.first}")
@@ -211,26 +214,27 @@ def _offset_warnings(info: RecordingInfo) -> list[str]:
     return warnings
 
 
-def _gap_warnings(name: str, gaps: list[Gap]) -> list[str]:
+def _gap_warnings(name: str, gaps: list[Gap], start: float) -> list[str]:
     if not gaps:
         return []
     longest = max(gaps, key=lambda gap: gap.duration)
-    return [f"{_count(len(gaps), 'gap')} in the {name}, the longest {longest.duration:.1f} s at {longest.start:.3f} s"]
+    when = elapsed(longest.start - start)
+    return [f"{_count(len(gaps), 'gap')} in the {name}, the longest {longest.duration:.1f} s at {when}"]
 
 
-def _overlap_warnings(scans: Floats, odometry: Floats) -> list[str]:
+def _overlap_warnings(scans: Floats, odometry: Floats, start: float) -> list[str]:
     """Return warnings for scans before, after and in gaps of the odometry."""
     warnings = []
     if (lead := float(odometry[0] - scans[0])) > MIN_GAP:
-        warnings.append(f"scans without odometry for {lead:.1f} s at {scans[0]:.3f} s")
+        warnings.append(f"scans without odometry for {lead:.1f} s at {elapsed(scans[0] - start)}")
     if (tail := float(scans[-1] - odometry[-1])) > MIN_GAP:
-        warnings.append(f"scans without odometry for {tail:.1f} s at {odometry[-1]:.3f} s")
+        warnings.append(f"scans without odometry for {tail:.1f} s at {elapsed(odometry[-1] - start)}")
     after = np.searchsorted(odometry, scans)
     inside = (after > 0) & (after < len(odometry))
     wide = odometry[after[inside]] - odometry[after[inside] - 1]
-    for start in np.unique(odometry[after[inside] - 1][wide > 10 * MIN_GAP])[:3]:
-        following = odometry[np.searchsorted(odometry, start, side="right")]
-        warnings.append(f"scans without odometry for {following - start:.1f} s at {start:.3f} s")
+    for last in np.unique(odometry[after[inside] - 1][wide > 10 * MIN_GAP])[:3]:
+        following = odometry[np.searchsorted(odometry, last, side="right")]
+        warnings.append(f"scans without odometry for {following - last:.1f} s at {elapsed(last - start)}")
     return warnings
 
 

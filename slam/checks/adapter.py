@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers import se2
+from drivers.elapsed import elapsed
 
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
@@ -37,12 +38,14 @@ def drive_of(
     starts: Sequence[int],
     placed: tuple[Floats, Floats],
     odometry_model: OdometryModel,
+    start: float,
 ) -> Drive:
     """Return the drive for the checks.
 
     scans   all scans in time order
     starts  index in `scans` of the first scan of each odometry segment
     placed  stamps (m,) and final poses (m, 3) of the scans that have a pose, in time order; the others are left out
+    start   stamp (seconds) from which times in texts are counted
     """
     scans = ScanSequence.of(scans)
     stamps, poses = placed
@@ -59,6 +62,7 @@ def drive_of(
         deviations=odometry_model.deviations,
         floors=odometry_model.floors,
         measured=odometry_model.measured,
+        start=start,
     )
 
 
@@ -127,10 +131,10 @@ def unmatched_stretches(
     return suspects
 
 
-def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float]) -> list[Suspect]:
+def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float], start: float) -> list[Suspect]:
     """Return a suspect where parts of the map begin that are not connected with its first part; empty without any.
 
-    `keyframe_stamps` (k,) are the times of the keyframes, seconds.
+    `keyframe_stamps` (k,) are the times of the keyframes, seconds; those in texts are counted from the stamp `start`.
     """
     parts = mapper.landmarks.parts
     apart = [group for group in parts.apart if parts.firsts[group] < mapper.keyframe_count]
@@ -138,7 +142,9 @@ def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float]) -> list[
         return []
     firsts = [parts.firsts[group] for group in apart]
     stamps = [float(keyframe_stamps[first]) for first in firsts]
-    where = "from here on" if len(apart) == 1 else f"beginning at {', '.join(f'{stamp:.1f}' for stamp in stamps)} s"
+    where = (
+        "from here on" if len(apart) == 1 else f"beginning at {', '.join(elapsed(stamp - start) for stamp in stamps)}"
+    )
     how = "their relative pose is not known, as the robot may have been carried"
     if all(parts.measured[group] for group in apart):
         sigma, turn_sigma = _largest_deviations(mapper, firsts)

@@ -33,6 +33,7 @@ class Drive:
     deviations  (4,) standard deviations of the random errors of odometry, see `OdometryModel.deviations`
     floors      (2,) standard deviations of a single odometry reading, metres and radians
     measured    False if odometry is predicted at constant velocity
+    start       stamp (seconds) from which times in texts are counted
     """
 
     stamps: Floats
@@ -43,6 +44,7 @@ class Drive:
     deviations: Floats
     floors: Floats
     measured: bool = True
+    start: float = 0.0
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -60,6 +62,7 @@ class Drive:
             self.deviations,
             self.floors,
             self.measured,
+            self.start,
         )
 
     def travelled(self) -> Floats:

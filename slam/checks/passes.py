@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.compiled import compiled
+from drivers.elapsed import elapsed
 
 from ..geometry.segments import Floats, Integers
 from .drive import Drive
@@ -95,7 +96,8 @@ def contradicting_passes(drive: Drive) -> Iterator[Suspect]:
         seen_through, crossing = (100 * part[worst] / common[worst] for part in (found.seen_through, found.crossing))
         text = (
             f"the map does not fit together: {seen_through:.0f} % of the scan's points are where the scans around "
-            f"{earlier:.1f} s saw through, and {crossing:.0f} % of its sight lines cross walls of earlier passes"
+            f"{elapsed(earlier - drive.start)} saw through, and {crossing:.0f} % of its sight lines cross walls of "
+            "earlier passes"
         )
         weight = float(share[group].sum()) / (MIN_SCANS * MAX_CONTRADICTION)
         first, last = float(drive.stamps[group[0]]), float(drive.stamps[group[-1]])

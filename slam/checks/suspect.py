@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from drivers.elapsed import elapsed
+
 from ..geometry.segments import Floats
 
 # Seconds from which the interval of a suspect is stated besides its time. Origin: chosen, for readability.
@@ -23,7 +25,7 @@ class Suspect:
     last      seconds, end of the interval
     position  (2,) in the map at `stamp`, metres
     weight    size of the contradiction relative to the least that is reported
-    text      sentence with the figures, without the time
+    text      sentence with the figures, without the time; other times in it are since the start of the run
     """
 
     check: str
@@ -34,14 +36,14 @@ class Suspect:
     weight: float
     text: str
 
-    @property
-    def sentence(self) -> str:
-        """The time and the text, as shown to the user."""
-        interval = f" ({self.first:.1f} to {self.last:.1f} s)" if self.last - self.first >= MIN_INTERVAL else ""
-        return f"at {self.stamp:.1f} s: {self.text}{interval}"
+    def sentence(self, start: float) -> str:
+        """Return time and text, as shown to the user; `start` is the stamp (seconds) from which times are counted."""
+        first, last = elapsed(self.first - start), elapsed(self.last - start)
+        interval = f" ({first} to {last})" if self.last - self.first >= MIN_INTERVAL else ""
+        return f"at {elapsed(self.stamp - start)}: {self.text}{interval}"
 
-    def row(self) -> dict[str, object]:
-        """Return the suspect as plain data for `summary.json`."""
+    def row(self, start: float) -> dict[str, object]:
+        """Return the suspect as plain data for `summary.json`; `start`: see `sentence`."""
         return {
             "check": self.check,
             "stamp": self.stamp,
@@ -50,5 +52,5 @@ class Suspect:
             "position": [round(float(value), 3) for value in self.position],
             "weight": round(self.weight, 3),
             "text": self.text,
-            "sentence": self.sentence,
+            "sentence": self.sentence(start),
         }

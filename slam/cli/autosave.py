@@ -17,12 +17,14 @@ from ..memory import return_freed_memory
 from .console import print_message
 from .terminal_keys import TerminalKeys
 
+LARGEST_LOSS = 60.0
+"""Seconds of the map that a crash may cost: those between the beginnings of two saves, and those that a save takes."""
 PERIOD = 45.0
-"""Seconds between the beginnings of two saves. A power failure costs that and the time that a save takes: less than a
-minute.
+"""Seconds between the beginnings of two saves."""
+LARGEST_SHARE = (LARGEST_LOSS - PERIOD) / PERIOD
+"""Share of the time that is spent with saving, a third. Only saves that cost more than LARGEST_LOSS are repeated less
+often than every PERIOD.
 """
-LARGEST_SHARE = 0.25
-"""Share of the time that is spent with saving, if a save takes so long that PERIOD is too short for it."""
 SAVE_KEY = b"s"
 
 

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..formatting import counted, percent
+from drivers.elapsed import elapsed
+
+from ..formatting import counted, duration, percent
 from ..io.host import peak_memory, versions
 from ..io.output_dir import TRAJECTORY
 from .console import printable
@@ -47,8 +49,6 @@ def summarise_run(
     slam_seconds  time that the pipeline took
     seconds       time from the first message to the end
     """
-    from ..io.tum import Trajectory
-
     report = run_input.report
     return {
         "recording": run_input.name,
@@ -56,11 +56,12 @@ def summarise_run(
         "seed": seed,
         "scans": statistics.scans,
         "odometry": statistics.odometry,
+        "start": float(finished.stamps[0]),
         "duration": statistics.duration,
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": Trajectory(finished.stamps, finished.poses).length,
+        "path_length": path_length(finished, statistics.first, statistics.last),
         "slam_seconds": slam_seconds,
         "wall_seconds": seconds,
         "real_time_factor": statistics.duration / slam_seconds,
@@ -73,6 +74,14 @@ def summarise_run(
         "slam": finished.summary,
         "versions": versions(),
     } | run_input.facts()
+
+
+def path_length(finished: Finished, first: float, last: float) -> float:
+    """Return the metres driven between two stamps (seconds): those of one recording of a session."""
+    from ..io.tum import Trajectory
+
+    own = (finished.stamps >= first) & (finished.stamps <= last)
+    return Trajectory(finished.stamps[own], finished.poses[own]).length if own.any() else 0.0
 
 
 def format_summary(result: RunResult, out: Path) -> list[str]:
@@ -103,7 +112,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items() if count)))
     rows += [("warning", text) for text in summary.get("doubts") or ()]
     rows += [("warning", text) for text in (reason_without_walls(summary),) if text]
-    warnings = warning_lines(summary["warnings"])
+    warnings = warning_lines(summary["warnings"], summary["start"])
     rows += [("warning", line) for line in warnings[:SHOWN_WARNINGS]]
     if (more := len(warnings) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))
@@ -136,7 +145,7 @@ def _loops(summary: dict[str, Any]) -> list[tuple[str, str]]:
     from ..visualisation.report_page.loop_text import loops_text, nearest_rejection, returns_text
 
     slam = summary.get("slam") or {}
-    nearest = nearest_rejection(slam)
+    nearest = nearest_rejection(slam, summary["start"])
     rows = [
         ("returns", returns_text(slam)),
         ("loops", loops_text(slam)),
@@ -147,17 +156,22 @@ def _loops(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Return when the robot was lost and for how long, and which parts of the map were joined."""
-    slam = summary.get("slam") or {}
+    slam, start = summary.get("slam") or {}, summary["start"]
     spans = slam.get("lost") or []
     rows = []
     if spans and slam["health"]["lost"]:  # a robot that starts at a given pose is placed by the first scan
-        times = ", ".join(f"at {begin:.1f} s for {end - begin:.1f} s" for begin, end in spans[:SHOWN_SPANS])
+        times = ", ".join(
+            f"at {elapsed(begin - start)} for {duration(end - begin)}" for begin, end in spans[:SHOWN_SPANS]
+        )
         more = f", and {len(spans) - SHOWN_SPANS} more times" if len(spans) > SHOWN_SPANS else ""
         share = slam["health"]["lost"] / max(1, slam["scans"])
         rows.append(("LOST", f"{times}{more}; {percent(share, 1)} of the scans"))
     later = (slam.get("parts") or [])[1:]
     if later:
-        joined = [f"{row['stamp']:.1f} s {'joined' if row['joined'] else 'not joined'}" for row in later[:SHOWN_SPANS]]
+        joined = [
+            f"{elapsed(row['stamp'] - start)} {'joined' if row['joined'] else 'not joined'}"
+            for row in later[:SHOWN_SPANS]
+        ]
         more = ", …" if len(later) > SHOWN_SPANS else ""
         rows.append(("parts", f"{len(later) + 1} in the map; those from {', '.join(joined)}{more}"))
     return rows

@@ -22,24 +22,25 @@ from ..events import Finished, Sink
 from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
+from ..mapping.odometry_segments import MAX_BREAK
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
-from .mode_switch import ModeSwitch
 from .notice_collector import NoticeCollector
+from .run_controls import RunControls
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
 from .run_summary import RunResult
 from .run_writer import RunWriter
-from .terminal_keys import TerminalKeys
 
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
     from ..pipeline import Slam
     from ..visualisation.live_page import GridLayer, PageServer
     from ..visualisation.rerun_log import ReviewLog, ViewerServer
+    from .mode_switch import ModeSwitch
 
 FINDING_TIMING = "estimating the timing of the lidar"
 
@@ -54,24 +55,21 @@ def run_slam(
     picture: bool,
     refine: bool = False,
     seed: int | None = None,
-    server: ViewerServer | None = None,
-    keys: TerminalKeys | None = None,
-    page: PageServer | None = None,
-    modes: ModeSwitch | None = None,
+    controls: RunControls | None = None,
 ) -> RunResult:
     """Run SLAM on `run_input` and write the output directory `out`, which appears only when it is complete.
 
     setup      settings, and the session or the plan to begin with
     overwrite  replace an existing output directory
-    review     write the review log; viewers can connect to it at `server` during the run
+    review     write the review log
     picture    draw the map
     seed       of the simulation, for the summary
-    keys       keys of the terminal, with the handlers of a live run; the key `s` saves the map
-    page       page of a live run, which shows it, saves the map and changes the mode on request
-    modes      switch between mapping and localisation of a run that is not finite
+    controls   how people follow and steer the run
 
     Raises SlamError. On any exception nothing is left behind, but the last save of a live run stays after an error.
     """
+    controls = controls or RunControls()
+    page, keys, modes = controls.page, controls.keys, controls.modes
     print_left_behind(out)
     output = OutputDirectory(out, overwrite, reserved=not run_input.finite)
     with output as directory, ExitStack() as log, ExitStack() as saving:
@@ -79,10 +77,11 @@ def run_slam(
         notices, statistics, reviewed = NoticeCollector(), InputStatistics(keeps_odometry=picture), None
         sinks: list[Sink] = [notices, *run_input.sinks]
         if review:
-            written = review_log(directory, setup.config, run_input.name, server, seed, complete=run_input.finite)
+            written = review_log(
+                directory, setup.config, run_input.name, controls.server, seed, complete=run_input.finite
+            )
             sinks.append(reviewed := log.enter_context(written))
         writer = RunWriter(run_input, setup, statistics, notices.texts, picture, seed, time.perf_counter())
-        keys, modes = keys or TerminalKeys(), modes or ModeSwitch()
         autosave = Autosave(output, lambda: writer.snapshot(slam), keys)
 
         def idle() -> None:
@@ -193,8 +192,11 @@ def _shifted(messages: Iterable[Message], after: float, statistics: InputStatist
 
 
 def shift_after(first: float, after: float) -> float:
-    """Return the seconds by which stamps are shifted if the first one is earlier than `after`, else zero."""
-    return float(np.ceil(after - first)) + 1.0 if first < after else 0.0
+    """Return the seconds by which stamps are shifted if the first one is earlier than `after`, else zero.
+
+    Such stamps do not tell what happened in between: they follow so late that no run seems to have been interrupted.
+    """
+    return float(np.ceil(after - first)) + MAX_BREAK + 1.0 if first < after else 0.0
 
 
 def process_messages(

@@ -22,7 +22,7 @@ class SuspectFound:
     """A check of the finished run found a contradiction at `stamp`; published at the end of the run, worst first.
 
     index     last keyframe at that time
-    text      sentence with the figures
+    text      sentence with the time since the start of the run and the figures
     position  (2,) in the final map, metres
     """
 

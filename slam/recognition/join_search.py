@@ -20,15 +20,14 @@ from drivers import se2
 from ..geometry.segments import Integers
 from ..localisation.local_field import LocalField
 from ..loop_closure.agreement import LoopAgreement
-from ..loop_closure.criteria import differ
-from ..loop_closure.decision import LoopDecision
+from ..loop_closure.criteria import confirm, differ
+from ..loop_closure.decision import Check, LoopDecision, LoopMatch
 from ..loop_closure.look import Look, Submaps
-from ..loop_closure.loop_hypothesis import LoopAgreementState
+from ..loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from ..mapping.mapper import Mapper
-from .decision import decide, scan_keyframes
 from .drive_scans import DriveScans
-from .location import LOST, Expectation, Location, locate
-from .scanned_map import ScannedMap
+from .location import LOST, Expectation, Location, PlacedSubmap, locate
+from .scanned_map import ScannedMap, scan_keyframes
 
 
 class JoinSearch:
@@ -121,4 +120,33 @@ class JoinSearch:
         if any(not differ(look, location.members[-1].motion, motion) for motion in self._retracted):
             return None
         old, since = np.flatnonzero(groups == group), int(connected.argmax())
-        return decide(look, mapper, location, old, since=since, joins=True)
+        return _decide(look, mapper, location, old, since)
+
+
+def _decide(look: Look, mapper: Mapper, location: Location, old: Integers, since: int) -> LoopDecision:
+    """Return the decision to move the drive where it was located.
+
+    look   from the last keyframe
+    old    (n,) keyframes of the map in which it was located
+    since  first keyframe that is moved
+    """
+    matches = [_match(mapper, member, old) for member in location.members]
+    count = len(matches)
+    return confirm(
+        look,
+        LoopHypothesis(location.members[-1].motion, matches),
+        f"{count} of {location.submaps} submaps fit in one place only",
+        rival_support=0,
+        contradictions=location.submaps - count,
+        checks=(Check("evidence", location.evidence, location.required, at_least=True),),
+        since=since,
+        joins=True,
+    )
+
+
+def _match(mapper: Mapper, member: PlacedSubmap, old: Integers) -> LoopMatch:
+    """Return the match of a submap with the nearest of the keyframes `old` (n,)."""
+    last, poses = member.keyframes[-1], mapper.keyframe_poses
+    nearest = int(old[np.hypot(*(poses[old, :2] - member.pose[:2]).T).argmin()])
+    relative = se2.between(poses[nearest], member.pose)
+    return LoopMatch(last, nearest, relative, member.covariance, mapper.travelled[last], member.fit, member.known)

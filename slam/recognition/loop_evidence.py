@@ -23,10 +23,10 @@ from ..loop_closure.look import SUBMAP_LENGTH, Look, Submaps
 from ..loop_closure.loop_status import LoopStatus
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
-from .decision import scan_keyframes
 from .drive_scans import DriveScans
 from .location import DOUBTED, RECOGNISED, locate
 from .placements import Uncertainty
+from .scanned_map import scan_keyframes
 
 
 def check_evidence(

@@ -17,13 +17,14 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
+from ..localisation.local_field import LocalField
 from ..loop_closure.submap_search import DISTORTION_SIGMAS, build_submap
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
 from ..matching.point_costs import points_cost
 from .map_descriptor import MapDescriptor
-from .map_index import MapIndex
+from .map_index import MapIndex, index_map
 
 # Metres, side of a cell: the width of a door, or of a piece of furniture. Origin: chosen, with 2 m the walls of a
 # single room are too few cells to decide by.
@@ -140,6 +141,12 @@ def scan_map(
     field.insert_scans(poses, points)
     grid = _CellGrid.of(low, high, cell)
     return ScannedMap(index, field, grid.sort(thin(moved), np.zeros(3)), grid.count)
+
+
+def scan_keyframes(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.bool_]) -> ScannedMap:
+    """Prepare the map of the keyframes `chosen` (k,) to search in."""
+    rows = np.flatnonzero(chosen)
+    return scan_map(index_map(mapper, chosen), mapper.keyframe_poses[rows], local_field.points_of(rows))
 
 
 def scan_submap(

@@ -25,7 +25,7 @@ from ..replacements import replaced
 
 DURATION = 12.0
 """Duration of simulated drives, seconds; more than a hundred scans."""
-FEW_BEAMS = simulation.LidarModel(beams=240)
+FEW_BEAMS = simulation.LidarModel(beams=160)
 WORLD = """\
 title = "a room to calibrate in"
 speed = 0.9

@@ -32,7 +32,7 @@ SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
 """Smaller values for options that determine the duration of benchmarks."""
 OF_SEVERAL_DRIVES = ("docs/changes.md", "docs/merge.md")
 """Pages with blocks that need recordings of two drives through one building."""
-LONGER = 24.0
+LONGER = 18.0
 """Duration of drives that are to be recognised in maps of each other, seconds."""
 command_line: Any = cache(get_command)
 MENTIONS = mentions()

@@ -25,7 +25,9 @@ from slam.io.sessions import read_session
 SAVE_PERIOD = 3.0
 """Seconds between two saves of the map, instead of 45, so that short runs have several."""
 SAVE_DURATION = 12.0
-"""Seconds that a save may take on a busy computer: with the usual period, less than a minute is missing then."""
+"""Seconds by which mapping and saving may be late on a busy computer: with the usual period, less than a minute is
+missing then.
+"""
 LAST_SECOND = 1.0
 """Seconds at the end of a recording that may be missing."""
 LONGEST_HOLE = 0.2

@@ -31,6 +31,18 @@ def make_corners(position: np.ndarray) -> CornerPoints:
     )
 
 
+def bare_keyframe(index: int) -> KeyframeAdded:
+    """Return the event of a keyframe at the origin that sees nothing."""
+    nothing, unmatched = np.empty(0), np.empty(0, dtype=np.int64)
+    return KeyframeAdded(
+        index=index, stamp=float(index), pose=np.zeros(3), pose_covariance=np.full((3, 3), np.nan),
+        odometry=np.zeros(3), points=np.empty((0, 2)), segments=EMPTY_SEGMENTS, corners=make_corners(np.empty((0, 2))),
+        wall_match=unmatched, wall_gate=nothing, wall_nearest=unmatched, corner_match=unmatched, corner_gate=nothing,
+        corner_nearest=unmatched, new_walls=unmatched,
+        sigma_range=0.01, timings={}, counts={},
+    )  # fmt: skip
+
+
 def corridor_walls() -> np.ndarray:
     """Return walls (n, 4): x, y, heading of the middle, and half length."""
     walls = []

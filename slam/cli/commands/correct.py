@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from drivers.elapsed import parse_elapsed
+
 from ..console import print_if_slow
 from ..options import OverwriteOption
 
@@ -21,8 +23,8 @@ def correct(
         typer.Option(
             "--close",
             metavar="LOOP|PLACE,PLACE",
-            help="Close a loop of the report that was not closed, or where two places are one: keyframes (12,340) or "
-            "stamps (8.5s,96.2s). Refused if the scans do not fit. Repeatable.",
+            help="Close a loop of the report that was not closed, or where two places are one: keyframes (12,340), "
+            "times since the start (0:08,1:36) or stamps (8.5s,96.2s). Refused if the scans do not fit. Repeatable.",
         ),
     ] = None,
     forbid_loop: Annotated[
@@ -60,7 +62,7 @@ def correct(
     """
     from ...io.sessions.corrections import read_corrections
 
-    new = [*_stated_loops(forbid_loop or (), close or ()), *_stated(tie or (), delete_wall or (), pins)]
+    new = [*_stated_loops(session, forbid_loop or (), close or ()), *_stated(tie or (), delete_wall or (), pins)]
     if listed + undo + bool(new) != 1:
         raise typer.BadParameter("state corrections, --list or --undo")
     present = read_corrections(session)
@@ -78,7 +80,7 @@ def correct(
     typer.echo("\n".join(lines))
 
 
-def _stated_loops(forbidden: list[int] | tuple[()], closings: list[str] | tuple[()]) -> list[Correction]:
+def _stated_loops(session: Path, forbidden: list[int] | tuple[()], closings: list[str] | tuple[()]) -> list[Correction]:
     """Return the corrections of loops that the options state."""
     from ...io.sessions.corrections import LoopForbidding, PlaceClosing, ProposedClosing
 
@@ -88,24 +90,38 @@ def _stated_loops(forbidden: list[int] | tuple[()], closings: list[str] | tuple[
         if len(parts) == 1 and parts[0].isdecimal():
             corrections.append(ProposedClosing(loop=int(parts[0])))
         elif len(parts) == 2:
-            corrections.append(PlaceClosing(places=(_place(parts[0], text), _place(parts[1], text))))
+            first, second = (_place(session, part, text) for part in parts)
+            corrections.append(PlaceClosing(places=(first, second)))
         else:
             raise _not_places(text)
     return corrections
 
 
-def _place(part: str, text: str) -> Place:
-    """Return the place that a part of an option names; raises BadParameter if it is neither keyframe nor stamp."""
+def _place(session: Path, part: str, text: str) -> Place:
+    """Return the place that a part of an option names.
+
+    Raises BadParameter if it is neither keyframe, time nor stamp, and MapError if the session has no trajectory.
+    """
     from ...io.sessions.corrections import Place
 
     try:
+        if ":" in part:
+            return Place(stamp=_start(session) + parse_elapsed(part))
         return Place(stamp=float(part[:-1])) if part.endswith("s") else Place(keyframe=int(part))
     except ValueError as error:
         raise _not_places(text) from error
 
 
+def _start(session: Path) -> float:
+    """Return the stamp (seconds) from which the times of a session are counted. Raises MapError."""
+    from ...io.output_dir import TRAJECTORY
+    from ...io.tum import read_tum
+
+    return float(read_tum(session / TRAJECTORY).stamps[0])
+
+
 def _not_places(text: str) -> typer.BadParameter:
-    message = "must be the number of a loop, two keyframes as 12,340, or two stamps as 8.5s,96.2s"
+    message = "must be the number of a loop, or two keyframes as 12,340, times as 0:08,1:36 or stamps as 8.5s,96.2s"
     return typer.BadParameter(f"{text}: {message}", param_hint="--close")
 
 

@@ -13,7 +13,6 @@ from ...io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTOR
 from ...io.run_results import read_run_results, write_results
 from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
-from ...io.tum import Trajectory
 from ...offline.corrections import CorrectedSession, correct_session
 from ...run_statistics import loop_counts, part_rows
 from ..slam_run import write_report_page
@@ -70,7 +69,6 @@ def _summary(before: dict[str, Any], corrected: CorrectedSession) -> dict[str, A
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": Trajectory(finished.stamps, finished.poses).length,
         "truth": None,  # the error before the corrections no longer applies
         "slam": slam
         | {"suspects": finished.summary["suspects"]}

@@ -86,11 +86,11 @@ def live(
     Example: [bold]wclm live --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 --out map --record map.mcap[/bold]
     """
     from ..plan_input import PlanOptions
+    from ..run_controls import RunControls
     from ..run_setup import prepare_run, without_odometry
     from ..run_summary import format_summary
     from ..slam_run import run_slam
     from ..status_file import StatusFile
-    from ..terminal_keys import TerminalKeys
     from .live_input import LiveInput
     from .live_web import open_page
 
@@ -106,21 +106,10 @@ def live(
         _server(address, port) if review and serve else nullcontext() as server,
         open_page(web_address) if with_page else nullcontext() as page,
     ):
-        keys = TerminalKeys()
-        status_file = None if status is None else StatusFile(status, out)
-        live_input = LiveInput(specs, record, duration, server, driving, keys, page, status_file)
-        result = run_slam(
-            live_input,
-            setup,
-            out,
-            overwrite=overwrite,
-            review=review,
-            picture=plot,
-            refine=refine,
-            server=server,
-            keys=keys,
-            page=page,
-        )
+        controls, status_file = RunControls(server, page), None if status is None else StatusFile(status, out)
+        live_input = LiveInput(specs, record, duration, driving, controls, status_file)
+        results = {"overwrite": overwrite, "review": review, "picture": plot, "refine": refine}
+        result = run_slam(live_input, setup, out, **results, controls=controls)
     typer.echo("\n".join(format_summary(result, out)))
     if live_input.failure is not None:
         raise live_input.failure

@@ -19,11 +19,9 @@ if TYPE_CHECKING:
 
     from ...config import Config
     from ...events import Sink
-    from ...visualisation.live_page import PageServer
-    from ...visualisation.rerun_log import ViewerServer
     from ..message_pump import MessagePump
+    from ..run_controls import RunControls
     from ..status_file import StatusFile
-    from ..terminal_keys import TerminalKeys
 
 STOP_MESSAGE = "stopping and saving the map; Ctrl-C again discards it"
 
@@ -34,10 +32,8 @@ class LiveInput:
     specs      specs of the devices
     recording  file to write, replaced if it exists; None: no recording
     duration   seconds; None: until a signal arrives
-    server     address where viewers can connect, if any
-    driving    limits of driving with `keys`; None: the robot is not driven
-    keys       keys of the terminal
-    page       page that shows the run and acts on the devices, if any
+    driving    limits of driving; None: the robot is not driven
+    controls   how people follow and steer the run; its page and its keys act on the devices, too
     status     file with the state of the run, if any
 
     failure  error that ended the messages early, if any; the messages before it are mapped
@@ -48,10 +44,8 @@ class LiveInput:
         specs: Sequence[DeviceSpec],
         recording: Path | None,
         duration: float | None,
-        server: ViewerServer | None,
         driving: DriveLimits | None,
-        keys: TerminalKeys,
-        page: PageServer | None,
+        controls: RunControls,
         status: StatusFile | None = None,
     ) -> None:
         from drivers.devices.acquisition import Acquisition
@@ -67,15 +61,15 @@ class LiveInput:
         self.failure: DriverError | None = None
         several = sum(spec.is_lidar for spec in specs) > 1  # whose scans must come in the order of their stamps
         self._acquisition = Acquisition(specs, recording, driving=driving, in_order=several)
-        self._page, self._status = page, status
+        self._server, self._page, self._status = controls.server, (page := controls.page), status
         self._control = None if page is None else PageControl(page, self._acquisition, driving)
         if page is not None:
             page.state.poses_of_scans = all(spec.is_lidar for spec in specs)
-        self._duration, self._server, self._driving = duration, server, driving
+        self._duration, self._driving = duration, driving
         self._recorded = None if recording is None else {"file": str(recording), "problem": ""}
         self._dashboard = LiveDashboard("" if driving is None else HELP)
         if driving is not None:
-            keys.add(Teleoperation(self._acquisition, driving).handle)
+            controls.keys.add(Teleoperation(self._acquisition, driving).handle)
         self._extrapolator = PoseExtrapolator()
         self.sinks: Sequence[Sink] = (self._dashboard, self._extrapolator, *([] if status is None else [status]))
 

@@ -14,7 +14,6 @@ from ..options import OutOption, OverwriteOption, PlotOption, ReviewOption
 
 if TYPE_CHECKING:
     from ...events import Finished, Sink
-    from ...io.sessions import Recording
     from ...offline.map_merging import MergedSession
     from ..run_summary import RunResult
 
@@ -90,6 +89,7 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
 def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: float) -> dict[str, Any]:
     """Return the summary: entries as of a run, and how each session was located."""
     from ...io.host import peak_memory, versions
+    from ..run_summary import path_length
 
     session = joined.session
     duration = sum(recording.last - recording.first for recording in session.recordings)
@@ -111,11 +111,12 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         "seed": None,
         "scans": len(session.scans),
         "odometry": sum(len(history) for history in session.odometry),
+        "start": float(finished.stamps[0]),
         "duration": duration,
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": sum(_path_length(finished, recording) for recording in session.recordings),
+        "path_length": sum(path_length(finished, one.first, one.last) for one in session.recordings),
         "slam_seconds": seconds,
         "wall_seconds": seconds,
         "real_time_factor": duration / seconds,
@@ -128,11 +129,3 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         "slam": finished.summary,
         "versions": versions(),
     }
-
-
-def _path_length(finished: Finished, recording: Recording) -> float:
-    """Return the travelled distance of one recording, metres; without the motion between recordings."""
-    from ...io.tum import Trajectory
-
-    own = (finished.stamps >= recording.first) & (finished.stamps <= recording.last)
-    return Trajectory(finished.stamps[own], finished.poses[own]).length if own.any() else 0.0

@@ -101,7 +101,6 @@ def _optimise(
 ) -> dict[str, Any]:
     """Refine a session into a directory; return the summary of the original run with the new figures."""
     from ...io.sessions import write_session
-    from ...io.tum import Trajectory
     from ...optimisation import optimise
 
     with ExitStack() as log:
@@ -123,7 +122,6 @@ def _optimise(
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": Trajectory(finished.stamps, finished.poses).length,
         "truth": None,  # the error before refinement no longer applies
         "recordings": [recording.model_dump() for recording in session.recordings],
         "slam": summary.get("slam", {})

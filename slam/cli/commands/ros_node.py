@@ -16,6 +16,7 @@ from ...io.sessions import read_session
 from ...ros.run_control import Restart, RestartRequestedError, RunControl, Save
 from ..console import print_message
 from ..mode_switch import ModeSwitch
+from ..run_controls import RunControls
 from ..run_setup import RunSetup
 from ..run_summary import format_summary
 from ..slam_run import run_slam
@@ -88,7 +89,10 @@ class RosNode:
             modes=modes,
             sinks=(LiveDashboard(),),
         )
-        result = run_slam(run_input, start, target, overwrite=overwrite, review=review, picture=False, modes=modes)
+        controls = RunControls(modes=modes)
+        result = run_slam(
+            run_input, start, target, overwrite=overwrite, review=review, picture=False, controls=controls
+        )
         return format_summary(result, target)
 
     @property

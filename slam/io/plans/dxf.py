@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -55,6 +56,7 @@ def read_dxf(path: Path, layers: Sequence[str] = ()) -> Drawing:
 def _open(path: Path) -> Document:
     import ezdxf
 
+    logging.getLogger("ezdxf").setLevel(logging.CRITICAL)  # else what it ignores in tables is printed on the terminal
     try:
         return ezdxf.readfile(path)
     except OSError as error:

@@ -113,7 +113,7 @@ class LiveState:
             case Notice() if event.level == "WARN":
                 self._add_doubt(event.stamp, event.text)
             case SuspectFound():
-                self._add_doubt(event.stamp, f"SUSPECT at {event.text}")
+                self._append(self._doubts, [None, f"SUSPECT {event.text}"])  # names its time
                 self.update(state="SUSPECT")
             case Finished():
                 self._recent = []

@@ -8,8 +8,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from drivers.elapsed import elapsed
+
 from ...checks.suspect import MAP, ODOMETRY, PARTS, PLACEMENT, UNCONSTRAINED
-from ...formatting import clock, counted, percent
+from ...formatting import counted, percent
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
 
@@ -30,8 +32,6 @@ SUSPECT_DETAILS = {
     ODOMETRY: "The scans were enough to correct it, or the path is wrong from there on.",
 }
 STAMPED = re.compile(r"(?P<text>.*) \(at (?P<stamp>-?\d+(\.\d+)?) s\)", re.DOTALL)
-STAMP_IN_TEXT = re.compile(r"(?<=around )(-?\d+(?:\.\d+)?) s")
-"""Stamp of earlier scans in the text of a check."""
 STATUS_FINDINGS = {
     "LOST": (
         "the robot was lost",
@@ -104,7 +104,7 @@ def _suspect_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Ite
     """Yield the worst findings of the checks of the finished run, and the number of the others."""
     for row in rows[:MAX_SHOWN_SUSPECTS]:
         yield Finding(
-            f"Suspect {_times([row['stamp']], trajectory)}: {_with_clock(row['text'], trajectory)}.",
+            f"Suspect {_times([row['stamp']], trajectory)}: {row['text']}.",
             SUSPECT_DETAILS.get(row["check"], ""),
             grave=row["check"] != ODOMETRY,
             stamp=float(row["stamp"]),
@@ -135,12 +135,15 @@ def group_warnings(texts: list[str]) -> dict[str, list[float]]:
     return stamps
 
 
-def warning_lines(texts: list[str]) -> list[str]:
-    """Return each of equal warnings once, with its first stamp, and how often it was repeated."""
+def warning_lines(texts: list[str], start: float) -> list[str]:
+    """Return each of equal warnings once, with its first time, and how often it was repeated.
+
+    start  stamp (seconds) from which times are counted
+    """
     lines = []
     for text, stamps in group_warnings(texts).items():
         times = f"{counted(len(stamps), 'time')}, first " if len(stamps) > 1 else ""
-        lines.append(f"{text} ({times}at {stamps[0]:.2f} s)" if stamps else text)
+        lines.append(f"{text} ({times}at {elapsed(stamps[0] - start)})" if stamps else text)
     return lines
 
 
@@ -219,15 +222,9 @@ def _source_findings(summary: dict[str, Any]) -> Iterator[Finding]:
         yield Finding(f"SLAM took {1 / factor:.1f} times as long as the recording.", "Live, it could not have kept up.")
 
 
-def _with_clock(text: str, trajectory: Trajectory) -> str:
-    """Return the text of a suspect with times since the start, as on the slider, instead of stamps."""
-    start = float(trajectory.stamps[0])
-    return STAMP_IN_TEXT.sub(lambda stamp: clock(float(stamp[1]) - start), text)
-
-
 def _times(stamps: list[float], trajectory: Trajectory) -> str:
     """Return the times since the start, equal ones once; if there are many, their number and the first ones."""
-    times = list(dict.fromkeys(clock(stamp - trajectory.stamps[0]) for stamp in stamps))
+    times = list(dict.fromkeys(elapsed(stamp - trajectory.stamps[0]) for stamp in stamps))
     shown = ", ".join(times[:MAX_SHOWN_TIMES])
     if len(stamps) <= MAX_SHOWN_TIMES:
         return f"at {shown}"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from drivers.elapsed import elapsed
+
 from ...formatting import counted, length
 from ...loop_closure.loop_status import LoopStatus
 
@@ -56,10 +58,13 @@ def no_loops_text(slam: dict[str, Any]) -> str:
     )
 
 
-def nearest_rejection(slam: dict[str, Any]) -> str:
-    """Return stamp and reason of the rejected loop that came nearest to being closed; empty if there is none."""
+def nearest_rejection(slam: dict[str, Any], start: float) -> str:
+    """Return time and reason of the rejected loop that came nearest to being closed; empty if there is none.
+
+    start  stamp (seconds) from which times are counted
+    """
     rows = by_margin([row for row in slam.get("loop_decisions") or [] if row["status"] == LoopStatus.REJECTED])
-    return f"at {rows[0]['stamp']:.1f} s: {rows[0]['reason']}" if rows else ""
+    return f"at {elapsed(rows[0]['stamp'] - start)}: {rows[0]['reason']}" if rows else ""
 
 
 def by_margin(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from html import escape
 from typing import Any
 
-from ...formatting import clock, duration, length, percent
+from drivers.elapsed import elapsed
+
+from ...formatting import duration, length, percent
 from ...geometry.segments import Floats
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
@@ -146,7 +148,7 @@ def _column_meanings() -> str:
 def _decisions(rows: list[dict[str, Any]], start: float) -> str:
     columns = (
         ("loop", lambda row: str(row["candidate"])),
-        ("time", lambda row: clock(row["stamp"] - start)),
+        ("time", lambda row: elapsed(row["stamp"] - start)),
         ("status", lambda row: row["status"]),
         ("keyframes", lambda row: f"{row['keyframe']} → {row['old']}"),
         ("reason", lambda row: row["reason"] or "–"),

@@ -94,7 +94,7 @@ def _health(data: SessionData) -> Iterator[str]:
     review = data.summary.get("review") or {}
     if any(review.values()):
         yield "log         " + ", ".join(f"{count} events {name}" for name, count in review.items() if count)
-    warnings = warning_lines(data.summary.get("warnings") or [])
+    warnings = warning_lines(data.summary.get("warnings") or [], data.summary.get("start", 0.0))
     for text in warnings[:3]:
         yield f"warning     {text}"
     if len(warnings) > 3:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers import se2
+from drivers.elapsed import elapsed
 from drivers.messages import GroundTruth, Message, Odometry
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam import Slam
@@ -21,6 +22,8 @@ from ..listeners import EventCollector
 from .drives import LIDAR
 
 DURATION, FIRST, LAST = 40.0, 15.0, 28.0
+START = 1e9
+"""Stamp of the start, as of a clock that counts from 1970."""
 
 
 def messages(*, carried: bool) -> list[Message]:
@@ -65,11 +68,14 @@ def test_a_hall_wider_than_the_range_is_reported() -> None:
 
 
 def test_a_carried_robot_is_reported() -> None:
-    finished, listener = run(messages(carried=True))
+    drive = [replace(message, stamp=START + message.stamp) for message in messages(carried=True)]
+    finished, listener = run(drive)
     rows: Any = finished.summary["suspects"]
     events = listener.of(SuspectFound)
     assert [row["sentence"] for row in rows] == [event.text for event in events]
-    assert any(abs(row["stamp"] - FIRST) < 3.0 for row in rows)
+    for row in rows:
+        assert row["sentence"].startswith(f"at {elapsed(row['stamp'] - finished.stamps[0])}: {row['text']}")
+    assert any(abs(row["stamp"] - START - FIRST) < 3.0 for row in rows)
     assert isinstance(listener.events[-1], Finished)
     for event in events:
         assert finished.keyframe_stamps[event.index] <= event.stamp
@@ -78,18 +84,18 @@ def test_a_carried_robot_is_reported() -> None:
 
 def lines(tmp_path: Path, count: int) -> list[str]:
     """Return the lines of the terminal that name suspects."""
-    suspects = [{"sentence": f"at {k}.0 s: the map"} for k in range(count)]
+    suspects = [{"sentence": f"at 0:0{k}: the map"} for k in range(count)]
     summary = {
-        "recording": "a.clf", "scans": 9, "duration": 9.0, "path_length": 9.0, "walls": 4, "corners": 4, "keyframes": 3,
-        "slam_seconds": 1.0, "wall_seconds": 1.0, "real_time_factor": 9.0, "peak_memory_mib": 9.0, "truth": None,
-        "skipped": {"messages": 0}, "warnings": [], "slam": {"suspects": suspects},
+        "recording": "a.clf", "scans": 9, "start": 0.0, "duration": 9.0, "path_length": 9.0, "walls": 4, "corners": 4,
+        "keyframes": 3, "slam_seconds": 1.0, "wall_seconds": 1.0, "real_time_factor": 9.0, "peak_memory_mib": 9.0,
+        "truth": None, "skipped": {"messages": 0}, "warnings": [], "slam": {"suspects": suspects},
     }  # fmt: skip
     return [line for line in format_summary(RunResult(summary, False), tmp_path) if "suspect" in line.lower()]
 
 
 def test_the_terminal_shows_the_worst_suspects(tmp_path: Path) -> None:
     assert lines(tmp_path, 0) == []
-    assert lines(tmp_path, 2) == ["  SUSPECT at 0.0 s: the map", "  SUSPECT at 1.0 s: the map"]
+    assert lines(tmp_path, 2) == ["  SUSPECT at 0:00: the map", "  SUSPECT at 0:01: the map"]
     many = lines(tmp_path, SHOWN_SUSPECTS + 3)
     assert len(many) == SHOWN_SUSPECTS + 1
     assert many[-1] == "  and 3 more suspects in summary.json"

@@ -10,6 +10,7 @@ import pytest
 
 import drivers
 from drivers import se2
+from drivers.elapsed import elapsed
 from drivers.messages import GroundTruth
 from drivers.simulation import Simulation
 from slam.evaluation.metrics import score_reference
@@ -175,7 +176,8 @@ def test_loops_are_forbidden_and_closed_by_hand(wclm: Any, mapped: Path, tmp_pat
     assert {name: (session / name).read_bytes() for name in files} == files
     assert opened.keyframes is not None
     stamps = opened.keyframes.stamps[[rows[2]["old"], rows[2]["keyframe"]]].tolist()
-    result = wclm("correct", session, "--close", "1", "--close", f"{stamps[0]}s,{stamps[1]}s")
+    time = elapsed(stamps[1] - opened.trajectory.stamps[0])
+    result = wclm("correct", session, "--close", "1", "--close", f"{stamps[0]}s,{time}")
     assert result.exit_code == 0, result.output
     assert result.stdout.count("of the points fit") == 2
     assert abs(error(session) - with_loops) < 0.05
@@ -202,7 +204,9 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses("correct", session, "--close", "0,20", because=["m of driving apart"])
     wclm.refuses("correct", session, "--close", "0,4000", because=["no keyframe 4000"])
     wclm.refuses("correct", session, "--close", "1s,4000s", because=["4000 s: there is no keyframe"])
-    wclm.refuses("correct", session, "--close", "1s,nans", because=["--close", "two stamps"])
+    wclm.refuses("correct", session, "--close", "1s,nans", because=["--close", "stamps as"])
+    wclm.refuses("correct", session, "--close", "0:01,90:00", because=["5400 s: there is no keyframe"])
+    wclm.refuses("correct", session, "--close", "0:01,0:x", because=["--close", "times as 0:08"])
     wclm.refuses("correct", session, "--close", "0,1,2", because=["--close", "two keyframes"])
     wclm.refuses("correct", session, "--pins", tmp_path / "one.csv", because=["do not determine the place"])
     wclm.refuses("correct", session, "--pins", tmp_path / "late.csv", because=["there is no scan"])

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,8 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.recordings.mcap import McapWriter
+from drivers.messages import Odometry
+from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.simulation import LidarModel, Simulation
 from slam.graph.pose_graph import optimise, read_pose_graph
 from slam.io.map_json import read_map
@@ -66,7 +68,24 @@ def test_continue_extends_the_map(wclm: Any, folder: Path, session: Path) -> Non
     assert wclm("run", folder / "second.mcap", "--continue", "both", "--out", "both", "--no-review").exit_code == 2
     again = wclm("run", folder / "first.mcap", "--continue", "both", "--out", "both", "--overwrite", "--no-review")
     assert again.exit_code == 0, again.output
-    assert len(json.loads(Path("both", SUMMARY).read_text())["recordings"]) == 3
+    third = json.loads(Path("both", SUMMARY).read_text())
+    assert len(third["recordings"]) == 3
+    assert third["path_length"] == pytest.approx(json.loads((session / SUMMARY).read_text())["path_length"], rel=0.05)
+
+
+def test_a_recording_with_earlier_stamps_is_no_interrupted_run(wclm: Any, folder: Path, session: Path) -> None:
+    """Its odometry happens to begin where that of the session ended, and the robot is somewhere else."""
+    messages, last = list(McapReader(folder / "second.mcap")), read_session(session).odometry[-1].poses[-1]
+    first = next(message.pose for message in messages if isinstance(message, Odometry))
+    with McapWriter(Path("moved.mcap")) as writer:
+        for message in messages:
+            if isinstance(message, Odometry):
+                message = replace(message, pose=se2.compose(last, se2.between(first, message.pose)))
+            writer.write(message)
+    result = wclm("run", "moved.mcap", "--localize", session, "--out", "there", "--no-review")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(Path("there", SUMMARY).read_text())
+    assert (summary["warnings"], summary["slam"]["suspects"]) == ([], [])
 
 
 def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Path) -> None:

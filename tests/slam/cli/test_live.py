@@ -11,6 +11,7 @@ import socket
 import subprocess
 import time
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -209,13 +210,19 @@ def test_each_viewer_server_has_its_own_port() -> None:
         ViewerServer(port=second.port).release()
 
 
-def test_a_failure_of_the_reader_process_keeps_earlier_measurements(tmp_path: Path) -> None:
-    with Robot(tmp_path) as robot:
-        run = LiveRun(robot, tmp_path / "map", "--no-review", "--record", str(tmp_path / "drive.mcap"))
-        wait_until_recorded(run, tmp_path / "drive.mcap")
-        (reader,) = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()[-1:]
-        os.kill(int(reader), signal.SIGKILL)
-        status, out, err = run.wait()
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    """Robot of several runs, one after the other."""
+    with Robot(tmp_path_factory.mktemp("robot")) as robot:
+        yield robot
+
+
+def test_a_failure_of_the_reader_process_keeps_earlier_measurements(tmp_path: Path, robot: Robot) -> None:
+    run = LiveRun(robot, tmp_path / "map", "--no-review", "--record", str(tmp_path / "drive.mcap"))
+    wait_until_recorded(run, tmp_path / "drive.mcap")
+    (reader,) = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()[-1:]
+    os.kill(int(reader), signal.SIGKILL)
+    status, out, err = run.wait()
     assert status == EXIT_USER_ERROR
     assert err.splitlines()[-1] == "wclm: the process that reads the devices ended unexpectedly"
     assert "Traceback" not in err
@@ -225,18 +232,17 @@ def test_a_failure_of_the_reader_process_keeps_earlier_measurements(tmp_path: Pa
     assert mapped[-1] - recorded[-1].stamp < 1.5  # the recorder was in the reader process
 
 
-def test_a_full_disk_ends_the_recording_but_not_the_mapping(tmp_path: Path) -> None:
+def test_a_full_disk_ends_the_recording_but_not_the_mapping(tmp_path: Path, robot: Robot) -> None:
     limit = 200_000
 
     def limit_files() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
-    with Robot(tmp_path) as robot:
-        run = LiveRun(
-            robot, tmp_path / "map", "--no-review", "--record", str(tmp_path / "drive.mcap"), preexec_fn=limit_files
-        )
-        message = run.line(f"wclm: {tmp_path / 'drive.mcap'}: cannot be written: File too large")
-        status, _, err = run.end(signal.SIGTERM)
+    run = LiveRun(
+        robot, tmp_path / "map", "--no-review", "--record", str(tmp_path / "drive.mcap"), preexec_fn=limit_files
+    )
+    message = run.line(f"wclm: {tmp_path / 'drive.mcap'}: cannot be written: File too large")
+    status, _, err = run.end(signal.SIGTERM)
     assert message == "; the recording ends here and is readable, mapping continues"
     assert (status, "Traceback" in err) == (0, False)
     assert run.summary["recorded"]["problem"] == "cannot be written: File too large"

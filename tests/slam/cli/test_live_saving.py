@@ -12,6 +12,7 @@ import sys
 import termios
 import threading
 import time
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -49,54 +50,59 @@ def names(folder: Path) -> set[str]:
     return {entry.name for entry in folder.iterdir()}
 
 
-def test_a_lost_terminal_ends_the_run_with_a_complete_map(tmp_path: Path, wclm: Any) -> None:
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
+    """Robot of several runs, one after the other."""
+    with Robot(tmp_path_factory.mktemp("robot")) as robot:
+        yield robot
+
+
+def test_a_lost_terminal_ends_the_run_with_a_complete_map(tmp_path: Path, robot: Robot, wclm: Any) -> None:
     out = tmp_path / "a" / "map"
     out.parent.mkdir()
     terminal, inner = pty.openpty()
-    with Robot(tmp_path) as robot:
-        run = LiveRun(robot, out, "--no-serve", stdin=inner, preexec_fn=use_as_terminal)
-        os.close(inner)
-        wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
-        assert names(out) == SAVED
-        assert run.summary["unfinished"]
-        first = out.stat().st_ino
-        os.write(terminal, b"s")
-        wait_for(lambda: out.exists() and out.stat().st_ino != first, run.process)
-        os.close(terminal)  # sends SIGHUP, as the end of an SSH session does
-        status, _, err = run.wait()
+    run = LiveRun(robot, out, "--no-serve", stdin=inner, preexec_fn=use_as_terminal)
+    os.close(inner)
+    wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
+    assert names(out) == SAVED
+    assert run.summary["unfinished"]
+    first = out.stat().st_ino
+    os.write(terminal, b"s")
+    wait_for(lambda: out.exists() and out.stat().st_ino != first, run.process)
+    os.close(terminal)  # sends SIGHUP, as the end of an SSH session does
+    status, _, err = run.wait()
     assert (status, "Traceback" in err) == (0, False), err
     assert names(out) == RESULTS - {PICTURE}
     assert names(out.parent) == {"map", "stdout", "stderr"}
     assert "unfinished" not in run.summary
 
 
-def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Path, wclm: Any) -> None:
+def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Path, robot: Robot, wclm: Any) -> None:
     out, status = tmp_path / "map", tmp_path / "status.json"
     terminal, inner = pty.openpty()
 
     def frozen() -> bool:
         return bool(json.loads(status.read_text())["frozen"])
 
-    with Robot(tmp_path) as robot:
-        options = ("--no-serve", "--no-review", "--status", str(status))
-        run = LiveRun(robot, out, *options, stdin=inner, preexec_fn=use_as_terminal)
-        os.close(inner)
-        wait_for(lambda: wclm("mode", out, "localization").exit_code == 0, run.process)  # there is a map by then
-        wait_for(frozen, run.process)
-        assert wclm("mode", out).stdout == f"{out}: localization\n"
-        assert wclm("mode", out, "localization").exit_code == 0
-        assert wclm("save", out).exit_code == 0
-        keyframes = run.summary["keyframes"]
-        time.sleep(2.0)
-        assert wclm("save", out).exit_code == 0
-        assert run.summary["keyframes"] == keyframes
-        os.write(terminal, b"l")
-        wait_for(lambda: not frozen(), run.process)
-        assert wclm("mode", out).stdout == f"{out}: mapping\n"
-        time.sleep(2.0)
-        assert wclm("mode", out, "localization").exit_code == 0
-        code, _, err = run.end()
-        os.close(terminal)
+    options = ("--no-serve", "--no-review", "--status", str(status))
+    run = LiveRun(robot, out, *options, stdin=inner, preexec_fn=use_as_terminal)
+    os.close(inner)
+    wait_for(lambda: wclm("mode", out, "localization").exit_code == 0, run.process)  # there is a map by then
+    wait_for(frozen, run.process)
+    assert wclm("mode", out).stdout == f"{out}: localization\n"
+    assert wclm("mode", out, "localization").exit_code == 0
+    assert wclm("save", out).exit_code == 0
+    keyframes = run.summary["keyframes"]
+    time.sleep(2.0)
+    assert wclm("save", out).exit_code == 0
+    assert run.summary["keyframes"] == keyframes
+    os.write(terminal, b"l")
+    wait_for(lambda: not frozen(), run.process)
+    assert wclm("mode", out).stdout == f"{out}: mapping\n"
+    time.sleep(2.0)
+    assert wclm("mode", out, "localization").exit_code == 0
+    code, _, err = run.end()
+    os.close(terminal)
     assert (code, "Traceback" in err) == (0, False), err
     assert run.summary["keyframes"] > keyframes
     assert names(out / SESSION)
@@ -104,12 +110,11 @@ def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_killed_run_leaves_the_saved_map_and_is_recovered(tmp_path: Path, wclm: Any) -> None:
+def test_a_killed_run_leaves_the_saved_map_and_is_recovered(tmp_path: Path, robot: Robot, wclm: Any) -> None:
     out = tmp_path / "map"
-    with Robot(tmp_path) as robot:
-        run = LiveRun(robot, out)
-        wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
-        run.end(signal.SIGKILL)
+    run = LiveRun(robot, out)
+    wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
+    run.end(signal.SIGKILL)
     assert names(out) == SAVED
     assert read_session(out).slam_state.mapper.keyframe_count == run.summary["keyframes"]
     (left,) = tmp_path.glob(".map-*")
@@ -162,20 +167,32 @@ def test_the_memory_that_a_save_needed_is_returned(tmp_path: Path, monkeypatch: 
     assert steps == ["written", "returned"]
 
 
-def test_less_than_a_minute_of_the_map_is_not_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now, saved = [1000.0], [1000.0]
+@pytest.mark.parametrize("duration", [0.0, 7.0, 15.0])
+def test_at_most_a_minute_of_the_map_is_not_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, duration: float
+) -> None:
+    """Saves take up to 15 s, as on a busy computer; it is killed right before one ends."""
+    now, saved, lost = [1000.0], [1000.0], []
     monkeypatch.setattr("slam.cli.autosave.time.monotonic", lambda: now[0])
 
-    def write(place: Path) -> None:
-        (place / SUMMARY).write_text("{}")
-        saved.append(now[0])
+    def prepare() -> Callable[[Path], None]:
+        state = now[0]
 
-    with (output := OutputDirectory(tmp_path / "map")), Autosave(output, lambda: write, TerminalKeys()) as autosave:
-        while now[0] < 1300.0:
+        def write(place: Path) -> None:
+            (place / SUMMARY).write_text("{}")
+            now[0] += duration
+            lost.append(now[0] - saved[-1])
+            saved.append(state)
+
+        return write
+
+    with (output := OutputDirectory(tmp_path / "map")), Autosave(output, prepare, TerminalKeys()) as autosave:
+        while now[0] < 1400.0:
             autosave.poll()
-            now[0] += 1.0
             wait_until_saved()
-    assert max(later - before for before, later in pairwise([*saved, now[0]])) < 60.0
+            now[0] += 1.0
+    assert len(lost) >= 6
+    assert max(lost) <= 60.0
 
 
 def wait_until_saved() -> None:

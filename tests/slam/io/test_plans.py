@@ -95,6 +95,17 @@ def test_layers_of_a_drawing_can_be_chosen(tmp_path: Path) -> None:
         read_plan(tmp_path / "plan.dxf", layers=["doors"])
 
 
+def test_what_ezdxf_ignores_in_a_drawing_is_not_printed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    drawing = ezdxf.new()
+    drawing.modelspace().add_lwpolyline(ROOM, close=True)
+    drawing.saveas(tmp_path / "plan.dxf")
+    text = (tmp_path / "plan.dxf").read_text()
+    layer = text.index("  0\nLAYER\n", text.index("AcDbSymbolTable\n", text.index("\nLAYER\n")))
+    (tmp_path / "plan.dxf").write_text(text[:layer] + text[layer:].replace("LAYER", "ODD", 1))
+    assert len(read_plan(tmp_path / "plan.dxf").segments) == len(ROOM)
+    assert not caplog.records
+
+
 def test_errors_of_damaged_drawings_are_short(tmp_path: Path) -> None:
     (tmp_path / "plan.dxf").write_text(f"0\nSECTION\n{'9' * 5000}\nx\n")
     with pytest.raises(MapError, match=r"plan\.dxf: is not a valid DXF file: ") as caught:

@@ -53,7 +53,7 @@ def test_regular_walls_become_exactly_regular_and_angles_improve() -> None:
         rows = found.groups[0]
         assert np.ptp(axis_errors(found.wall_map, rows)) < 1e-9
         angle = measure_angle(found.wall_map, rows[0], rows[1])
-        assert angle.value % (np.pi / 2) == pytest.approx(0.0, abs=1e-9) or angle.value == pytest.approx(np.pi / 2)
+        assert np.remainder(angle.value + np.pi / 4, np.pi / 2) == pytest.approx(np.pi / 4, abs=1e-9)
         assert angle.sigma < 1e-6
     assert alone <= 2  # 0.1 % of 420 are expected
     assert np.std(after) < 0.1 * np.std(before)

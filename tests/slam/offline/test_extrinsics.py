@@ -14,6 +14,7 @@ from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.offline.calibration.extrinsics import Calibration, OdometryCorrection, calibrate
 
+ROBOT = LidarModel(beams=360, rate=5.0)
 MOUNT = np.array([0.15, -0.05, 0.3])
 GUESS = Config(lidar=LidarConfig(mount=(0.1, 0.0, 0.2)))
 """Initial mount, as measured with a ruler and by eye."""
@@ -32,7 +33,7 @@ def values(found: Calibration) -> np.ndarray:
 
 
 def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
-    simulation = Simulation("office", seed=3, duration=45.0, lidar=LidarModel(beams=360), mount=MOUNT)
+    simulation = Simulation("office", seed=3, duration=45.0, lidar=ROBOT, mount=MOUNT)
     found = calibrate(simulation, GUESS)
     error = values(found) - true_values(simulation)
     assert np.all(np.abs(error) < 4 * found.sigma)
@@ -42,7 +43,7 @@ def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
 @pytest.mark.parametrize("heading", [3.1, -1.7])
 def test_a_lidar_that_points_backwards_or_aside_is_found(heading: float) -> None:
     mount = np.array([0.15, -0.05, heading])
-    simulation = Simulation("office", seed=3, duration=45.0, lidar=LidarModel(beams=360), mount=mount)
+    simulation = Simulation("office", seed=3, duration=45.0, lidar=ROBOT, mount=mount)
     found = calibrate(simulation, Config(lidar=LidarConfig(mount=(0.0, 0.0, 0.0))))
     error = values(found) - true_values(simulation)
     error[:3] = found.mount - mount

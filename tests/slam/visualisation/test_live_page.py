@@ -140,14 +140,14 @@ def test_clients_receive_map_scan_pose_and_state(finished: Finished) -> None:
         state.handle(StateChanged(11.0, "LOST", None))
         assert (await frame(client))["status"]["state"] == "LOST"
         state.handle(Notice(12.0, "the pose is lost"))
-        state.handle(SuspectFound(4, 12.0, "10.0 s: the map is bent", np.zeros(2)))
+        state.handle(SuspectFound(4, 12.0, "at 0:10: the map is bent", np.zeros(2)))
         state.handle(replace(finished))
         client.close()
         state.handle(replace(scan, overlap_ratio=float("nan"), points=np.zeros((0, 2))))  # no wall, no points
         late = await connect(server)
         status = (await frame(late))["status"]
         assert (status["state"], status["finished"]) == ("SUSPECT", True)
-        assert status["doubts"] == [[2.0, "the pose is lost"], [2.0, "SUSPECT at 10.0 s: the map is bent"]]
+        assert status["doubts"] == [[2.0, "the pose is lost"], [None, "SUSPECT at 0:10: the map is bent"]]
 
     with served(state) as server:
         run(test)

@@ -191,7 +191,7 @@ def test_the_page_states_why_no_loop_was_closed_and_how_the_recording_was_read(
 def test_suspects_are_findings_and_only_those_of_the_path_are_grave(tmp_path: Path, finished: Finished) -> None:
     rows = [
         {"check": check, "stamp": 5.0 + k, "first": 5.0, "last": 5.0, "position": [0.0, 0.0], "weight": 2.0,
-         "text": f"the {check} is wrong, as the scans around 72.5 s saw"}
+         "text": f"the {check} is wrong, as the scans around 1:12 saw"}
         for k, check in enumerate(["map", "placement", "odometry"] + 9 * ["odometry"])
     ]  # fmt: skip
     summary = SUMMARY | {"slam": SUMMARY["slam"] | {"suspects": rows}}

@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-import logging
-import subprocess
-import sys
-import threading
-import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,12 +12,10 @@ from rerun.chunk import RrdReader
 from scipy.spatial import cKDTree
 
 from drivers import se2
-from slam.errors import OutputError
 from slam.events import (
     Finished,
     GroundTruthReceived,
     KeyframeAdded,
-    LoopDecided,
     MapUpdated,
     Notice,
     Relocalised,
@@ -33,13 +24,11 @@ from slam.events import (
     SuspectFound,
 )
 from slam.io.exports.confidence import wall_stretches
-from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.map_features import MapCorners, MapWalls
-from slam.visualisation.rerun_log import ReviewLog, colours, review_log, rrd_writer
+from slam.visualisation.rerun_log import colours, rrd_writer
 from slam.visualisation.rerun_log.event_log import EventLog
-from slam.visualisation.rerun_log.log_files import log_parts
 
-from ..corridor import EMPTY_SEGMENTS, Corridor, last, log_events, make_corners, of_kind, rows
+from ..corridor import Corridor, bare_keyframe, last, log_events, of_kind, rows
 
 
 def test_keyframes_hold_pose_and_scan(corridor):
@@ -222,17 +211,6 @@ def test_stamps_since_1970_are_logged_as_dates(tmp_path):
     assert kinds == {"timestamp[ns]"}
 
 
-def bare_keyframe(index: int) -> KeyframeAdded:
-    nothing, unmatched = np.empty(0), np.empty(0, dtype=np.int64)
-    return KeyframeAdded(
-        index=index, stamp=float(index), pose=np.zeros(3), pose_covariance=np.full((3, 3), np.nan),
-        odometry=np.zeros(3), points=np.empty((0, 2)), segments=EMPTY_SEGMENTS, corners=make_corners(np.empty((0, 2))),
-        wall_match=unmatched, wall_gate=nothing, wall_nearest=unmatched, corner_match=unmatched, corner_gate=nothing,
-        corner_nearest=unmatched, new_walls=unmatched,
-        sigma_range=0.01, timings={}, counts={},
-    )  # fmt: skip
-
-
 def test_empty_and_unknown_values_are_accepted(tmp_path):
     no_lines = MapWalls(np.empty(0, dtype=np.int64), np.empty((0, 3)), np.empty(0), np.empty(0),
                         np.empty(0, dtype=np.int64), np.empty((0, 2, 2)), ())  # fmt: skip
@@ -274,8 +252,8 @@ def test_a_keyframe_that_is_in_the_map_no_more_is_cleared(tmp_path):
 
 
 def test_suspects_are_marked_and_named_from_their_own_time_on(tmp_path):
-    events = [bare_keyframe(0), bare_keyframe(1), SuspectFound(1, 1.0, "at 1.0 s: the map", np.array([3.0, 4.0]))]
-    events.append(SuspectFound(0, 0.0, "at 0.0 s: odometry", np.array([5.0, 6.0])))
+    events = [bare_keyframe(0), bare_keyframe(1), SuspectFound(1, 1.0, "at 0:01: the map", np.array([3.0, 4.0]))]
+    events.append(SuspectFound(0, 0.0, "at 0:00: odometry", np.array([5.0, 6.0])))
     log_events(tmp_path / "log.rrd", events)
     marks = [rows(tmp_path / "log.rrd", f"/world/suspects/{k}", "Points3D:positions") for k in (0, 1)]
     assert [[(keyframe, position[0][:2]) for keyframe, position in rows_of] for rows_of in marks] == [
@@ -283,98 +261,7 @@ def test_suspects_are_marked_and_named_from_their_own_time_on(tmp_path):
         [(0, [5.0, 6.0])],
     ]
     texts = [text[0] for _, text in rows(tmp_path / "log.rrd", "/log", "TextLog:text")]
-    assert texts == ["SUSPECT at 0.0 s: odometry", "SUSPECT at 1.0 s: the map"]
-
-
-def test_closing_twice_is_allowed_and_later_events_are_ignored(tmp_path):
-    path = tmp_path / "twice.rrd"
-    review = log_events(path, [])
-    closed = path.read_bytes()
-    review.close()
-    review.handle(Notice(0.0, "too late"))
-    assert (review.waiting, review.left_out()) == (0, {"thinned": 0, "lost": 0, "failed": 0, "unwritten": 0})
-    assert path.read_bytes() == closed
-
-
-def test_an_unwritable_file_raises_an_output_error(tmp_path):
-    with pytest.raises(OutputError, match="review log"):
-        ReviewLog(tmp_path / "no such directory" / "review.rrd")
-
-
-def test_an_error_is_reported_once_and_the_other_events_are_logged(tmp_path, caplog):
-    broken = replace(bare_keyframe(0), pose=np.zeros(2))
-    with caplog.at_level(logging.ERROR, logger="slam.visualisation.rerun_log"):
-        review = log_events(tmp_path / "broken.rrd", [broken, bare_keyframe(1), broken])
-        review.close()
-    assert review.failures == 2
-    assert len(caplog.records) == 1
-    assert "KeyframeAdded" in caplog.text
-    assert rows(tmp_path / "broken.rrd", "/world/keyframe/scan", "Points3D:positions") == [(1, [])]
-
-
-def stalled(path, monkeypatch) -> tuple[ReviewLog, threading.Event]:
-    """Return a log that writes nothing until the event is set."""
-    release, write = threading.Event(), EventLog.write
-    monkeypatch.setattr(EventLog, "write", lambda log, event: (release.wait(20), write(log, event)))
-    return ReviewLog(path), release
-
-
-def test_a_slow_log_does_not_block_and_keeps_keyframes(tmp_path, monkeypatch):
-    review, release = stalled(tmp_path / "slow.rrd", monkeypatch)
-    full = replace(bare_keyframe(0), points=np.ones((180, 2)))
-    for index in range(700):
-        review.handle(ScanTracked(float(index), np.zeros(3), np.zeros(3), 1.0, index))
-        review.handle(replace(full, index=index, stamp=float(index)))
-    release.set()
-    review.close()
-    scans = rows(tmp_path / "slow.rrd", "/world/keyframe/scan", "Points3D:positions")
-    assert len(scans) == 700
-    assert 200 < sum(len(points) == 180 for _, points in scans) < 300
-    assert review.thinned > 800
-    assert review.left_out() == {"thinned": review.thinned, "lost": 0, "failed": 0, "unwritten": 0}
-    assert "left out" in last(tmp_path / "slow.rrd", "/log", "TextLog:text")[0]
-
-
-def test_a_recording_waits_for_a_slow_log(tmp_path, monkeypatch):
-    written = []
-    monkeypatch.setattr(EventLog, "write", lambda log, event: (time.sleep(5e-4), written.append(event)))
-    review = ReviewLog(tmp_path / "slow.rrd", complete=True)
-    for index in range(1500):
-        review.handle(ScanTracked(float(index), np.zeros(3), np.zeros(3), 1.0, index))
-    review.close()
-    assert len(written) == 1500
-    assert review.left_out() == {"thinned": 0, "lost": 0, "failed": 0, "unwritten": 0}
-
-
-def test_a_recording_does_not_wait_for_a_stalled_log(tmp_path, monkeypatch):
-    monkeypatch.setattr(review_log, "STALLED_SECONDS", 0.1)
-    release = threading.Event()
-    monkeypatch.setattr(EventLog, "write", lambda log, event: release.wait(20))
-    review = ReviewLog(tmp_path / "stalled.rrd", complete=True)
-    for index in range(1000):
-        review.handle(ScanTracked(float(index), np.zeros(3), np.zeros(3), 1.0, index))
-    release.set()
-    review.close()
-    assert review.thinned > 400
-
-
-def test_a_stalled_log_limits_its_memory_and_loses_no_loop_decision(tmp_path, monkeypatch, caplog):
-    review, release = stalled(tmp_path / "stalled.rrd", monkeypatch)
-    review.handle(bare_keyframe(0))
-    for index in range(review_log.STALLED_EVENTS + 1000):
-        review.handle(Notice(float(index), "chatter"))
-    for number in range(3):
-        review.handle(decided(number + 1, LoopStatus.ACCEPTED))
-    review.handle(StateChanged(9.0, "LOST", None))
-    assert review.waiting < review_log.STALLED_EVENTS + 10
-    release.set()
-    with caplog.at_level(logging.ERROR, logger="slam.visualisation.rerun_log"):
-        review.close()
-    assert review.lost == pytest.approx(1000, abs=5)
-    assert "stalled" in caplog.text
-    found = rows(tmp_path / "stalled.rrd", "/loops/decisions", "loop")
-    assert [value for _, value in found] == [[1], [2], [3]]
-    assert last(tmp_path / "stalled.rrd", "/localisation_status", "StateChange:state") == ["LOST"]
+    assert texts == ["SUSPECT at 0:00: odometry", "SUSPECT at 0:01: the map"]
 
 
 def test_a_relocalisation_is_in_the_text_log_and_its_pose_in_the_map(tmp_path):
@@ -412,101 +299,6 @@ def last_levels(path) -> list[str]:
 def last_between_keyframes(path, entity: str, component: str):
     """Return the last value of an entity that has no keyframe."""
     return [value for keyframe, value in rows(path, entity, component) if keyframe is None][-1]
-
-
-def decided(candidate: int, status: str) -> LoopDecided:
-    return LoopDecided(
-        index=0, stamp=float(candidate), candidate=candidate, old=0, motion=np.zeros(3), status=status,
-        reason="as it is", overlap_ratio=0.9, matches=5, runner_up=0.1, sigma=0.01, contradicted=0.0,
-        merged=(), shift=0.0,
-    )  # fmt: skip
-
-
-def drive_slowly(review: ReviewLog) -> None:
-    """Handle the events of a lap with pauses, so that the file grows meanwhile."""
-    for number, event in enumerate(Corridor().events()):
-        review.handle(event)
-        if number % 200 == 0:
-            while review.waiting:
-                time.sleep(0.01)
-            time.sleep(1.2 * rrd_writer.FLUSH_PERIOD)
-
-
-def test_a_long_log_continues_in_files_that_are_readable_by_themselves(tmp_path):
-    path = tmp_path / "review.rrd"
-    with ReviewLog(path, config="[lidar]", recording="long", part_size=300_000) as review:
-        drive_slowly(review)
-    files = log_parts(path)
-    assert len(files) > 2
-    assert files[:2] == (path, tmp_path / "review-2.rrd")
-    keyframes = [k for file in files for k, _ in rows(file, "/world/keyframe", "Transform3D:translation")]
-    assert keyframes == list(range(len(keyframes)))
-    names = {RrdReader(file).recordings()[0].recording_id for file in files}
-    assert len(names) == 1  # opened together they are one recording
-    for file in files:
-        assert "[lidar]" in last(file, "/config", "TextDocument:text")[0]
-        assert last(file, "/metrics/counts", "SeriesLines:names") == ["walls", "corners", "factors"]
-
-
-def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
-    monkeypatch.setattr(rrd_writer, "MAX_PARTS", 3)
-    with ReviewLog(tmp_path / "review.rrd", part_size=200_000) as review:
-        drive_slowly(review)
-    numbers = [
-        1 if file.stem == "review" else int(file.stem.split("-")[1]) for file in log_parts(tmp_path / "review.rrd")
-    ]
-    assert numbers == [1, numbers[-1] - 1, numbers[-1]]
-
-
-def test_few_rows_are_written_in_chunks_of_their_own(tmp_path, monkeypatch):
-    """Each chunk takes memory until the file ends, and a robot drives in familiar places for days."""
-    scans, path = 400, tmp_path / "review.rrd"
-    ticks = itertools.count()
-    clock = SimpleNamespace(monotonic=lambda: 0.1 * next(ticks))  # ten scans a second
-    monkeypatch.setattr(rrd_writer, "time", clock)
-    with ReviewLog(path) as review:
-        for k in range(scans):
-            review.handle(ScanTracked(0.1 * k, np.array([0.01 * k, 0.0, 0.0]), np.zeros(3), 1.0, 0))
-    chunks = [chunk for chunk in RrdReader(path).stream() if chunk.entity_path == "/world/robot"]
-    assert sum(chunk.to_record_batch().num_rows for chunk in chunks) == scans
-    assert len(chunks) < scans / 100
-
-
-def test_the_file_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch, caplog):
-    path, events = tmp_path / "review.rrd", list(Corridor().events())
-    keyframes = of_kind(events, KeyframeAdded)
-    room = iter([*[1e9] * 30, *[1e6] * len(events)])  # free bytes at each look
-    monkeypatch.setattr(rrd_writer, "free_space", lambda folder: next(room))
-    with ReviewLog(path) as review, caplog.at_level(logging.WARNING):
-        for event in events:
-            review.handle(event)
-    found = [k for k, _ in rows(path, "/world/keyframe", "Transform3D:translation")]
-    assert found == list(range(len(found)))
-    assert 0 < len(found) < len(keyframes)
-    assert (review.failures, review.lost, review.unwritten > len(events) // 2) == (0, 0, True)
-    assert [record.message for record in caplog.records] == [
-        f"{path.name} ends here, as its disk is nearly full; mapping continues"
-    ]
-
-
-def test_rerun_is_imported_only_when_a_log_is_created():
-    code = "import sys, slam, slam.events, slam.visualisation.rerun_log; sys.exit('rerun' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def test_files_are_also_begun_where_there_are_no_keyframes(tmp_path, monkeypatch):
-    monkeypatch.setattr(rrd_writer, "MAX_BATCH_ROWS", 1)
-    path, scans = tmp_path / "review.rrd", 400
-    with ReviewLog(path, part_size=400_000) as review:
-        for k in range(scans):
-            review.handle(ScanTracked(0.1 * k, np.array([0.01 * k, 0.0, 0.0]), np.zeros(3), 1.0, 0))
-            if k % 100 == 99:
-                while review.waiting:
-                    time.sleep(0.01)
-                time.sleep(1.2 * rrd_writer.FLUSH_PERIOD)
-    files = log_parts(path)
-    assert len(files) > 1
-    assert sum(len(list(rows(file, "/world/robot", "Transform3D:translation"))) for file in files) == scans
 
 
 def test_a_step_repeats_the_last_texts_only(tmp_path, monkeypatch):

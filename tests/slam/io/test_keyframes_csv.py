@@ -1,0 +1,24 @@
+"""Keyframes are read back as they were written."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam.events import Finished
+from slam.io.keyframes_csv import Keyframes, read_keyframes, write_keyframes
+
+
+def test_keyframes_are_read_back_with_their_covariances(tmp_path: Path, finished: Finished) -> None:
+    random = np.random.default_rng(3).normal(0, 0.01, (len(finished.keyframes), 3, 3))
+    covariance = random @ random.transpose(0, 2, 1)
+    covariance[2] = np.nan
+    write_keyframes(tmp_path / "a.csv", Keyframes(finished.keyframe_stamps, finished.keyframes, covariance))
+    read = read_keyframes(tmp_path / "a.csv")
+    np.testing.assert_allclose(read.stamps, finished.keyframe_stamps, atol=1e-6)
+    np.testing.assert_allclose(read.poses, finished.keyframes, atol=1e-6)
+    np.testing.assert_allclose(read.covariance, covariance, rtol=1e-8)
+    sigma = read.position_sigma()
+    assert np.isnan(sigma[2])
+    for k in (0, 1, 3, 4, 5):
+        assert sigma[k] == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[k, :2, :2]).max()))
