@@ -71,8 +71,8 @@ def _pin(place: str, row: dict[str | None, str | None]) -> Pin:
     sigma = numbers.pop("sigma", None)
     if (sigma is not None) == any(name in numbers for name in ("xx", "xy", "yy")):
         raise MapError(f"{place}: must state either sigma or xx, xy and yy")
-    if sigma is not None and abs(sigma) > MAX_COORDINATE:
-        raise MapError(f"{place}: sigma is beyond {MAX_COORDINATE:.0f} m")
+    if sigma is not None and not 0.0 <= sigma <= MAX_COORDINATE:
+        raise MapError(f"{place}: sigma is not between 0 and {MAX_COORDINATE:.0f} m")
     if sigma is not None:
         numbers |= {"xx": sigma**2, "xy": 0.0, "yy": sigma**2}
     try:

@@ -37,6 +37,10 @@ MIN_RAYS = 3
 # Seconds: stamp of the last view where views take the place of scans, before any recording and so long before that
 # odometry does not continue them. Origin: definition.
 VIEWS_END = -1000.0
+# Metres: standard deviation of the distances at which the points of a view are. Points exactly on a line that is the
+# border of grid cells would show one of the cells only, and which one would depend on rounding: those of a scan scatter
+# across it. Origin: chosen, the noise of usual lidars.
+VIEW_NOISE = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +48,7 @@ class PlanView:
     """View from a place in the plan, with the axes of the plan.
 
     position  (2,) metres
-    points    (p, 2) that rays meet, from there, in counter-clockwise order
+    points    (p, 2) that rays meet, from there, in counter-clockwise order, with the noise of a lidar
     segments  visible parts of walls, from there, with the covariance of the plan's walls
     walls     (s,) row of the wall of each segment
     """
@@ -89,6 +93,7 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
     rays = cast_views(plan)
     covariance = _covariances(spans, sigmas, plan.precision)
     seen = [_visible_parts(ray, plan, frames, members) for ray in rays]
+    random = np.random.default_rng(0)
     covered: list[set[int]] = [set() for _ in frames]
     for _, parts in seen:
         for wall, low, high in parts:
@@ -98,7 +103,7 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
     seen_frames, seen_covariance, views = frames[kept], covariance[kept], []
     for ray, (points, parts) in zip(rays, seen, strict=True):
         parts = [(number[wall], low, high) for wall, low, high in parts if wall in number]
-        views.append(_view(ray.position, points, parts, seen_frames, seen_covariance))
+        views.append(_view(ray.position, _noisy(points, random), parts, seen_frames, seen_covariance))
     walls = _walls(seen_frames, [covered[wall] for wall in kept], spans[kept], seen_covariance, views)
     rest = np.flatnonzero([not cells for cells in covered])
     hidden = se2.transform(frames[rest][:, None], np.stack([spans[rest], np.zeros((len(rest), 2))], axis=-1))
@@ -199,6 +204,12 @@ def _visible_parts(
         if len(rows) >= MIN_RAYS and np.ptp(position) >= MIN_VISIBLE:
             parts.append((int(face[rows[0]]), float(position.min()), float(position.max())))
     return points[visible] - ray.position, parts
+
+
+def _noisy(points: Floats, random: np.random.Generator) -> Floats:
+    """Return points (p, 2), given from a place, as a lidar there would measure them."""
+    distance = np.hypot(points[:, 0], points[:, 1])
+    return np.asarray(points * (1.0 + random.normal(0.0, VIEW_NOISE, len(points)) / distance)[:, None])
 
 
 def _view(

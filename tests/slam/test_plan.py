@@ -114,6 +114,46 @@ def test_a_map_is_recognised_in_a_plan_and_is_in_its_frame(
     np.testing.assert_allclose(restored.keyframe_pose(5), stored.keyframe_pose(5), atol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def short_drive() -> list[Message]:
+    """Return a drive through a room whose walls are on borders of the cells of distance fields, two of them at 0."""
+    return list(Simulation("room", seed=0, duration=15.0))
+
+
+def moved_room(motion: se2.Pose) -> PlanMap:
+    """Return the plan of the room in another frame."""
+    segments = se2.transform(motion, load_world("room").segments.reshape(-1, 2, 2))
+    return build_plan_map(Plan("room", segments, np.zeros(len(segments), dtype=bool), 1e-3), SIGMAS)
+
+
+MOTIONS = {
+    "as built": np.zeros(3),
+    "shifted": np.array([100.0, -40.0, 0.0]),
+    "between cells": np.array([0.11, 0.17, 0.0]),
+    "turned": np.array([0.0, 0.0, 0.5]),
+    "national grid": np.array([5.0e5, 5.5e6, 2.0]),
+}
+"""Poses of the frame of the building in that of its plan."""
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_a_plan_may_have_any_frame_to_map_in_it(motion: se2.Pose, short_drive: list[Message]) -> None:
+    slam = Slam(plan=moved_room(motion))
+    finished = run(short_drive, slam)
+    assert slam.slam_state.plan is not None
+    assert slam.slam_state.plan.recognised
+    in_building = replace(finished, poses=se2.compose(se2.inverse(motion), finished.poses))
+    assert errors(in_building, short_drive).max() < 0.01
+
+
+@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+def test_a_plan_may_have_any_frame_to_localise_in_it(motion: se2.Pose, short_drive: list[Message]) -> None:
+    finished = run(short_drive, Slam(resumed=plan_session(moved_room(motion), Config()), frozen=True))
+    in_building = replace(finished, poses=se2.compose(se2.inverse(motion), finished.poses))
+    assert finished.stamps[0] < 1.0
+    assert errors(in_building, short_drive).max() < 0.02
+
+
 def test_a_wrong_plan_does_not_bend_the_map_and_is_reported(drive: list[Message], without_plan: Finished) -> None:
     plan = office(wrong=True)
     slam = Slam(plan=plan, start=START + np.array([0.2, -0.2, 0.1]))

@@ -60,11 +60,14 @@ def correct(
 
     Example: [bold]wclm correct results/office --pins survey.csv[/bold]
     """
+    from ...io.run_results import read_run_results
     from ...io.sessions.corrections import read_corrections
 
     new = [*_stated_loops(session, forbid_loop or (), close or ()), *_stated(tie or (), delete_wall or (), pins)]
     if listed + undo + bool(new) != 1:
         raise typer.BadParameter("state corrections, --list or --undo")
+    if listed or undo:
+        read_run_results(session)  # another directory has no corrections either, but that is no answer
     present = read_corrections(session)
     if listed:
         typer.echo("\n".join(f"{k}: {one.text}" for k, one in enumerate(present, 1)) or "no corrections")
