@@ -74,7 +74,9 @@ def load_grid_map(path: Path) -> GridMap:
     """Load the cells of a grid map; errors as in `read_grid_map`."""
     described = path if path.suffix.lower() in (".yaml", ".yml") else _description_of(path)
     values = _read_description(described)
-    picture = described.parent / str(values["image"])
+    if not isinstance(name := values["image"], str) or not name.isprintable():
+        raise MapError(f"{described}: image is no name of a file")
+    picture = described.parent / name
     if picture.exists() and not picture.is_file():  # a device or a pipe might never end
         raise MapError(f"{picture}: is not a file")
     pixels = _read_picture(picture)

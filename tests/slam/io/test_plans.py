@@ -280,6 +280,8 @@ BAD_FILES = {
     "b.yaml": ("image: a.pgm", "it has no resolution"),
     "c.yaml": ("image: none.pgm\nresolution: 0.05\norigin: [0, 0, 0]", "No such file"),
     "d.yaml": ("image: d.yaml\nresolution: 0.05\norigin: [0, 0, 0]", "is not a picture"),
+    "e.yaml": ('image: "d.pgm\\nmode"\nresolution: 0.05\norigin: [0, 0, 0]', "image is no name of a file"),
+    "f.yaml": ("image: 3\nresolution: 0.05\norigin: [0, 0, 0]", "image is no name of a file"),
     "a.pgm": ("P5 3 3 255 ", "needs a.yaml beside it"),
     "a.txt": ("", "is no plan"),
 }
