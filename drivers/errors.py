@@ -6,7 +6,15 @@ from pathlib import Path
 
 
 class SlamError(Exception):
-    """Error that the user can correct. Its text is one line; the command line prints it and exits with status 2."""
+    """Error that the user can correct. Its text is one line; the command line prints it and exits with status 2.
+
+    Line breaks and control characters, which names in a damaged file may contain, are replaced.
+    """
+
+    def __str__(self) -> str:
+        """Return the text."""
+        text = super().__str__()
+        return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
 class RecordingError(SlamError):

@@ -29,6 +29,7 @@ def test_poses_and_walls_are_read(tmp_path: Path) -> None:
         ("", "has no column kind"),
         ("kind,id,x,y\n", "nor the columns xx"),
         ("kind,id,x,y,sigma,colour\n", "unknown column colour"),
+        ("kind,id,x,y,sigma,co\x1dlour\n", "unknown column co\N{REPLACEMENT CHARACTER}lour"),
         (HEADER, "has no pins"),
         (HEADER + "pose,1,2,3,0.01\n", "pins.csv:2: has another number of columns"),
         (HEADER + "\npose,1,2,x,0.01,,\n", "pins.csv:3: y is no number: x"),
