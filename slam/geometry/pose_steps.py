@@ -27,7 +27,7 @@ def difference(prediction, pose):  # type: ignore[no-untyped-def]
 
 @inlined
 def wrap_heading(pose):  # type: ignore[no-untyped-def]
-    """Wrap the heading of a pose in place, as `drivers.se2.wrap` does to the last digit; `wrap_angle` may not."""
+    """Wrap the heading of a pose in place, bit-equal to `drivers.se2.wrap`, unlike `wrap_angle`."""
     pose[2] = (pose[2] + math.pi) % (2 * math.pi) - math.pi
 
 

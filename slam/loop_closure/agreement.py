@@ -117,7 +117,10 @@ class LoopAgreement:
 
     @property
     def refuted(self) -> bool:
-        """True if looks contradict the estimate of the motion between two parts, and nothing fits near it."""
+        """True if looks contradict the motion that odometry measured between two parts, and support no other one.
+
+        The motion is the same all the time, so contradictions count however long ago they were.
+        """
         return len(self._estimate.contradictions) >= MIN_SUPPORT and not self._hypotheses
 
     def number(self, decision: LoopDecision) -> LoopDecision:
@@ -172,7 +175,7 @@ class LoopAgreement:
         found = [] if self._is_settled(look, places, tested) else self._find(look, places)
         if self._joins:
             self._test_estimate(look, tested, found)
-        if not self._joins and self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):
+        elif self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):
             look = Look(mapper, local_field, self._submaps, among, doubted=True)
             places = look.possible_places()
             beyond = self._find(look, places, DOUBTED_PLACES)
@@ -195,7 +198,10 @@ class LoopAgreement:
         return self._estimate.contradictions_since(look.travelled - MEMORY) >= MIN_SUPPORT
 
     def _test_estimate(self, look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> None:
-        """Let a look contradict the estimate of a part that is not connected: the old map does not fit within it."""
+        """Count a look as a contradiction of the motion between two parts if it fits nowhere within its uncertainty.
+
+        A look at what the other part has not seen is none.
+        """
         vote = self._test(look, self._estimate)
         if vote is None or vote.match.known < MIN_KNOWN:
             return
