@@ -46,7 +46,10 @@ def remove_estimates(lines: list[bytes]) -> set[int]:
 
 def _pose(words: Sequence[bytes]) -> list[bytes]:
     """Return x, y and theta of a FLASER line; nothing if it is incomplete."""
-    first = 2 + int(words[1]) if len(words) > 1 and words[1].isdigit() else len(words)
+    try:
+        first = 2 + max(0, int(words[1]))
+    except (IndexError, ValueError):
+        return []
     return list(words[first : first + 3])
 
 

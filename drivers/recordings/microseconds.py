@@ -17,6 +17,8 @@ from itertools import pairwise
 MICROSECONDS = 1_000_000
 MIN_STAMPS = 200
 """Stamps from which a missing leading zero is significant. Origin: binomial; 0.9^200 is below 1e-9."""
+MAX_DIGITS = 12
+"""Digits of the seconds at most: more microseconds do not fit into 64 bits. Origin: definition."""
 MIN_EXPLAINED = 0.9
 """Least share of the backward steps that disappears. Origin: chosen; either they have this cause or another."""
 
@@ -32,7 +34,8 @@ def restore_microseconds(stamps: Iterable[bytes]) -> list[float] | None:
     candidates: list[list[int]] = []
     for stamp in stamps:
         seconds, _, fraction = stamp.partition(b".")
-        if not (seconds.isdigit() and fraction.isdigit() and len(fraction) <= 6) or fraction.startswith(b"0"):
+        known = seconds.isdigit() and len(seconds) <= MAX_DIGITS and fraction.isdigit() and len(fraction) <= 6
+        if not known or fraction.startswith(b"0"):
             return None  # nearly always within the first stamps
         candidates.append(_readings(int(seconds), fraction.ljust(6, b"0")))
     if len(candidates) < MIN_STAMPS:

@@ -53,7 +53,7 @@ def choose_backend(environment: Mapping[str, str] = os.environ) -> Backend:
 def domain_id(environment: Mapping[str, str] = os.environ) -> int:
     """Return the domain that ROS_DOMAIN_ID names, 0 without it; raises DriverError if it is invalid."""
     text = environment.get("ROS_DOMAIN_ID", "").strip() or "0"
-    if not text.isascii() or not text.isdigit() or int(text) > MAX_DOMAIN:
+    if not (text.isascii() and text.isdigit() and len(text) < 10) or int(text) > MAX_DOMAIN:
         raise DriverError(f"ROS_DOMAIN_ID={text}: must be a number from 0 to {MAX_DOMAIN}")
     return int(text)
 

@@ -90,7 +90,7 @@ def _stated_loops(session: Path, forbidden: list[int] | tuple[()], closings: lis
     corrections: list[Correction] = [LoopForbidding(loop=number) for number in forbidden]
     for text in closings:
         parts = [part.strip() for part in text.split(",")]
-        if len(parts) == 1 and parts[0].isdecimal():
+        if len(parts) == 1 and _is_identity(parts[0]):
             corrections.append(ProposedClosing(loop=int(parts[0])))
         elif len(parts) == 2:
             first, second = (_place(session, part, text) for part in parts)
@@ -143,6 +143,11 @@ def _stated(ties: list[str] | tuple[()], deletions: list[int] | tuple[()], pins:
 def _pair(text: str) -> tuple[int, int]:
     """Return the two walls that an option names; raises BadParameter if it is not two identities."""
     parts = text.split(",")
-    if len(parts) != 2 or not all(part.strip().isdecimal() for part in parts):
+    if len(parts) != 2 or not all(_is_identity(part.strip()) for part in parts):
         raise typer.BadParameter(f"{text}: must be two identities of walls, e.g. 12,40", param_hint="--tie")
     return int(parts[0]), int(parts[1])
+
+
+def _is_identity(text: str) -> bool:
+    """Return True if a text is the number of a loop or wall: Python reads no integer of more than 4300 digits."""
+    return text.isdecimal() and len(text) < 10

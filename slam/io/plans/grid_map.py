@@ -35,7 +35,7 @@ VIEWPOINT_SPACING = 1.0
 """Metres between places in free space."""
 VIEWPOINT_CLEARANCE = 0.3
 """Metres of free space around such a place."""
-HEADER = re.compile(rb"(P[25])(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)\s")
+HEADER = re.compile(rb"(P[25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9})\s")
 """Header of a PGM picture: format, width, height, largest value; comments begin with #."""
 
 Cells = NDArray[np.bool_]

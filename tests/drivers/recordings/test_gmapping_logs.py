@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import drivers
 from drivers import se2
@@ -73,3 +74,9 @@ def test_other_logs_are_read_as_they_are() -> None:
     kept = list(encoded)
     assert remove_estimates(kept) == set()
     assert kept == encoded
+
+
+@pytest.mark.parametrize("count", ["", "2.5", "-1", 5000 * "7"])
+def test_invalid_numbers_of_beams_are_no_estimates(count: str) -> None:
+    lines = [f"ODOM 0 0 0 0 0 0 1 host 1\nFLASER {count} 1.0 1.1 1 0 0 0 0 0 2 host 2\n".encode()]
+    assert remove_estimates(lines[0].splitlines(keepends=True)) == set()

@@ -88,3 +88,7 @@ def test_a_log_is_read_in_the_order_of_its_lines(tmp_path: Path) -> None:
     assert not source.report.reasons
     (text,) = source.report.interpretations
     assert "without leading zeros" in text
+
+
+def test_seconds_that_no_clock_shows_are_left_as_they_are() -> None:
+    assert restore_microseconds([5000 * b"7" + b".5", *unpadded(clock())]) is None

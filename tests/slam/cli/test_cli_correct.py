@@ -202,6 +202,7 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses("correct", session, "--delete-wall", 999, because=["no wall 999"])
     wclm.refuses("correct", session, "--tie", "0,1", because=["cannot be one"])
     wclm.refuses("correct", session, "--tie", "0", because=["two identities"])
+    wclm.refuses("correct", session, "--close", 5000 * "1", because=["number of a loop"])
     wclm.refuses("correct", session, "--close", "1", because=["no loop 1"])
     wclm.refuses("correct", session, "--forbid-loop", 1, because=["no loop 1"])
     wclm.refuses("correct", session, "--close", "0,20", because=["m of driving apart"])

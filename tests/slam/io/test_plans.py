@@ -303,3 +303,10 @@ def test_a_picture_that_is_cut_off_is_refused(tmp_path: Path) -> None:
     (tmp_path / "map.pgm").write_bytes((tmp_path / "map.pgm").read_bytes()[:-1])
     with pytest.raises(MapError, match="is cut off"):
         read_plan(path)
+
+
+def test_a_picture_with_absurd_sizes_is_refused(tmp_path: Path) -> None:
+    path = grid_map(tmp_path / "map.pgm")
+    (tmp_path / "map.pgm").write_bytes(b"P5 " + 5000 * b"1" + b" 3 255 ")
+    with pytest.raises(MapError, match="not a valid PGM"):
+        read_plan(path)
