@@ -5,15 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 
 
+MAX_HALF_TEXT = 500
+"""Characters at the beginning and at the end of an error's text that are shown if it is longer than both."""
+
+
 class SlamError(Exception):
     """Error that the user can correct. Its text is one line; the command line prints it and exits with status 2.
 
-    Line breaks and control characters, which names in a damaged file may contain, are replaced.
+    Names and numbers in a damaged file may be of any length, and contain line breaks and control characters: the text
+    is shortened in its middle, and these characters are replaced.
     """
 
     def __str__(self) -> str:
         """Return the text."""
         text = super().__str__()
+        if len(text) > 2 * MAX_HALF_TEXT:
+            text = f"{text[:MAX_HALF_TEXT]} ... {text[-MAX_HALF_TEXT:]}"
         return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 

@@ -34,9 +34,13 @@ FORMAT = "wclm-slam map"
 MAP_VERSION = 2
 SUPPORTED_VERSIONS = (1, 2)
 
+MAX_EXTENT = 1e5
+"""Metres from a wall's frame to its ends: beyond any building. Commands divide walls into short stretches."""
+
 _UNKNOWN_COVARIANCE = np.full((2, 2), np.nan)
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Along = Annotated[float, Field(ge=-MAX_EXTENT, le=MAX_EXTENT, allow_inf_nan=False)]
 Identity = Annotated[int, Field(ge=0, lt=1 << 31)]
 Count = Annotated[int, Field(ge=0, lt=1 << 31)]
 Matrix = tuple[tuple[Finite, Finite], tuple[Finite, Finite]]
@@ -49,11 +53,11 @@ class _Record(BaseModel):
 class _Line(_Record):
     identity: Identity
     frame: tuple[Finite, Finite, Finite]
-    low: Finite
-    high: Finite
+    low: Along
+    high: Along
     start: tuple[Finite, Finite]
     end: tuple[Finite, Finite]
-    pieces: list[tuple[Finite, Finite]] | None = None
+    pieces: list[tuple[Along, Along]] | None = None
     observations: Count
     covariance: Matrix | None
 

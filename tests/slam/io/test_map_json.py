@@ -114,6 +114,15 @@ def test_an_identity_that_no_landmark_has_is_refused(tmp_path: Path, finished: F
         read_map(tmp_path / "map.json")
 
 
+@pytest.mark.parametrize("end", [1e15, -1e15])
+def test_a_wall_longer_than_any_building_is_refused(tmp_path: Path, finished: Finished, end: float) -> None:
+    data = written(tmp_path / "map.json", finished)
+    data["lines"][1]["pieces"] = [[0.0, end]]
+    (tmp_path / "map.json").write_text(json.dumps(data))
+    with pytest.raises(MapError, match=r"map.json: lines.1.pieces.0.1: input should be"):
+        read_map(tmp_path / "map.json")
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"[1, 2]", b"\xff\xfe", b"null"])
 def test_file_that_is_not_a_map_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "map.json").write_bytes(content)
