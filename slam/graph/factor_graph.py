@@ -22,7 +22,7 @@ from drivers import se2
 
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
-from .factors import Factor, FactorKind, from_pose2, to_gtsam_graph, to_pose2
+from .factors import MATCH_KINDS, Factor, FactorKind, from_pose2, to_gtsam_graph, to_pose2
 from .graph_estimate import GraphEstimate
 from .wall_segments import WallSegment
 
@@ -190,6 +190,13 @@ class FactorGraph(GraphEstimate):
         """
         self._add(FactorKind.SCAN_MATCH, old, keyframe, relative, covariance)
 
+    def add_submap_match(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
+        """Add a keyframe's pose relative to an old one by the points around both.
+
+        covariance  (3, 3) in the keyframe's frame
+        """
+        self._add(FactorKind.SUBMAP_MATCH, old, keyframe, relative, covariance)
+
     def _add(
         self,
         kind: FactorKind,
@@ -247,9 +254,9 @@ class FactorGraph(GraphEstimate):
         """Remove factors by their numbers."""
         self._update(relinearize=True, remove=numbers)
 
-    def remove_scan_matches(self, since: int, last: int) -> None:
-        """Remove the scan matches of keyframes from `since` on with keyframes up to `last`."""
-        self._remove_if(lambda f: f.kind is FactorKind.SCAN_MATCH and f.first <= last and f.second >= since)
+    def remove_matches(self, since: int, last: int) -> None:
+        """Remove the scan and submap matches of keyframes from `since` on with keyframes up to `last`."""
+        self._remove_if(lambda f: f.kind in MATCH_KINDS and f.first <= last and f.second >= since)
 
     def remove_wall_observations(self, since: Mapping[int, int]) -> None:
         """Remove the observations of each of some misassociated walls by keyframes from `since[wall]` on."""

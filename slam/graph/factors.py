@@ -48,6 +48,8 @@ class FactorKind(StrEnum):
     POINT_MAP      the points of the keyframe `first` as a body in its frame: zero; (3, 3), the noise of its scan
     SCAN_MATCH     the keyframe `second` in the frame of the points of `first`, by matching its own points with them and
                    with those of other keyframes nearby; (3, 3). Robust
+    SUBMAP_MATCH   the keyframe `second` in the frame of `first`, by matching the points around both on a return to a
+                   known place; (3, 3). Robust
     """
 
     POSE_PRIOR = "pose_prior"
@@ -64,11 +66,13 @@ class FactorKind(StrEnum):
     LOOP = "loop"
     POINT_MAP = "point_map"
     SCAN_MATCH = "scan_match"
+    SUBMAP_MATCH = "submap_match"
 
 
 # Standard deviations at which a factor's weight is one half; the other kinds have no robust kernel.
 CAUCHY_SCALES = {
     FactorKind.SCAN_MATCH: MOTION_CAUCHY_SCALE,
+    FactorKind.SUBMAP_MATCH: MOTION_CAUCHY_SCALE,
     FactorKind.WALL_HEADING: WALL_CAUCHY_SCALE,
     FactorKind.WALL_OFFSET: WALL_CAUCHY_SCALE,
     FactorKind.CORNER: CAUCHY_SCALE,
@@ -91,6 +95,8 @@ WALL_KINDS = (
 )
 # Kinds that measure a variable in the map. Origin: definition.
 PRIOR_KINDS = (FactorKind.POSE_PRIOR, FactorKind.PLAN_WALL, FactorKind.PINNED_POSE, FactorKind.PINNED_WALL)
+# Robust kinds by which keyframes are matched with those of earlier passes. Origin: definition.
+MATCH_KINDS = (FactorKind.SCAN_MATCH, FactorKind.SUBMAP_MATCH)
 # Kinds of factors with surveyed coordinates. Origin: definition.
 PIN_KINDS = (FactorKind.PINNED_POSE, FactorKind.PINNED_WALL)
 # Keys of the first and the second variable with number 0, from which the others follow. Origin: definition.
@@ -105,6 +111,7 @@ _FIRST_KEYS = {
     FactorKind.SCAN_MATCH: (P(0), X(0)),
     FactorKind.ODOMETRY: (X(0), X(0)),
     FactorKind.LOOP: (X(0), X(0)),
+    FactorKind.SUBMAP_MATCH: (X(0), X(0)),
 }
 # The same of other kinds of factors, which lead from a keyframe to a wall. Origin: definition.
 _FIRST_KEYS_OF_OTHERS = (X(0), L(0))

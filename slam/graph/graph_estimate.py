@@ -13,7 +13,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
-from .factors import PIN_KINDS, Factor, FactorKind, from_pose2
+from .factors import MATCH_KINDS, PIN_KINDS, Factor, FactorKind, from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals, residuals_of
@@ -96,8 +96,8 @@ class GraphEstimate:
         return len(self.solver.factors)
 
     def matches(self) -> list[Factor]:
-        """Return point maps, scan matches and loop factors: all that ties keyframes besides odometry and landmarks."""
-        return self._factors_of(FactorKind.POINT_MAP, FactorKind.SCAN_MATCH, FactorKind.LOOP)
+        """Return point maps, matches and loop factors: all that ties keyframes besides odometry and landmarks."""
+        return self._factors_of(FactorKind.POINT_MAP, *MATCH_KINDS, FactorKind.LOOP)
 
     def wall_observations(self) -> list[tuple[int, int]]:
         """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""

@@ -16,25 +16,38 @@ if TYPE_CHECKING:
 # Kinds of residuals. GAUGE_PRIOR is the prior that fixes a wall's frame along the wall: a convention, no measurement.
 PRIOR, ODOMETRY, WALL, CORNER = "prior", "odometry", "wall", "corner"
 WALL_EQUALITY, GAUGE_PRIOR = "wall equality", "gauge prior"
-SCAN_MATCH, POINT_MAP, PLAN, PIN = "scan match", "point map", "plan", "pin"
-MEASUREMENTS = ODOMETRY, SCAN_MATCH, WALL, CORNER, WALL_EQUALITY, PLAN, PIN
+SCAN_MATCH, SUBMAP_MATCH, POINT_MAP, PLAN, PIN = "scan match", "submap match", "point map", "plan", "pin"
+MEASUREMENTS = ODOMETRY, SCAN_MATCH, SUBMAP_MATCH, WALL, CORNER, WALL_EQUALITY, PLAN, PIN
 _ENDS = {
     ODOMETRY: "xx",
     SCAN_MATCH: "px",
+    SUBMAP_MATCH: "xx",
     POINT_MAP: "xp",
     WALL: "xL",
     CORNER: "xC",
     WALL_EQUALITY: "LL",
     GAUGE_PRIOR: "xL",
 }
-_KINDS = {"xx": ODOMETRY, "px": SCAN_MATCH, "xp": POINT_MAP, "xl": WALL, "xc": CORNER, "ll": WALL_EQUALITY, "l": PLAN}
+_KINDS = {
+    ("xx", False): ODOMETRY,
+    ("xx", True): SUBMAP_MATCH,
+    ("px", True): SCAN_MATCH,
+    ("xp", False): POINT_MAP,
+    ("xl", False): GAUGE_PRIOR,
+    ("xl", True): WALL,
+    ("xc", True): CORNER,
+    ("ll", False): WALL_EQUALITY,
+    ("l", False): PIN,
+    ("l", True): PLAN,
+}
+"""Kinds by the characters of a factor's variables, and by whether it is robust."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
     """Residuals of n factors.
 
-    kind     one of PRIOR, ODOMETRY, SCAN_MATCH, POINT_MAP, WALL, CORNER, WALL_EQUALITY, GAUGE_PRIOR, PLAN, PIN for each
+    kind     one of the kinds above for each
     between  (n, 2) keyframe and keyframe, keyframe and landmark, or landmark and landmark, by kind; -1 for none. The
              points of a keyframe have its number
     squared  (n,) squared Mahalanobis distance of the measurement from the estimate, without the robust kernel
@@ -77,6 +90,7 @@ def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> R
 
     cauchy_scales = {
         SCAN_MATCH: MOTION_CAUCHY_SCALE,
+        SUBMAP_MATCH: MOTION_CAUCHY_SCALE,
         WALL: WALL_CAUCHY_SCALE,
         CORNER: CAUCHY_SCALE,
         PLAN: CAUCHY_SCALE,
@@ -95,11 +109,7 @@ def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> R
         gaussian = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
         # GTSAM's whitened error of a robust factor contains the square root of its weight, so it is whitened here.
         error = gaussian.whiten(factor.unwhitenedError(values))
-        kind = _KINDS.get("".join(chr(end.chr()) for end in ends), PRIOR)
-        if kind == WALL and not robust:
-            kind = GAUGE_PRIOR
-        if kind == PLAN and not robust:
-            kind = PIN
+        kind = _KINDS.get(("".join(chr(end.chr()) for end in ends), robust), PRIOR)
         kinds.append(kind)
         between.append((ends[0].index(), ends[1].index() if len(ends) > 1 else -1))
         squared.append(float(error @ error))

@@ -41,7 +41,7 @@ from .criteria import (
     prevails,
     support_checks,
 )
-from .decision import Check, LoopDecision
+from .decision import Check, LoopDecision, LoopMatch
 from .look import MAX_PLACES, SUBMAP_LENGTH, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
@@ -80,6 +80,11 @@ class LoopAgreement:
         other._restore(self.state, self._submaps.copy())
         other._given_up, other.returns = list(self._given_up), list(self.returns)
         return other
+
+    def return_at(self, keyframe: int) -> LoopMatch | None:
+        """Return the match of the look at a keyframe with an old place, if it agrees with the estimate."""
+        match = self.returns[-1].match if self.returns else None
+        return match if match is not None and match.keyframe == keyframe else None
 
     @property
     def state(self) -> LoopAgreementState:

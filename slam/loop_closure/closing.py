@@ -55,6 +55,15 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     return replace(closed, shift=float(np.hypot(*(mapper.pose - before)[:2])))
 
 
+def add_return(mapper: Mapper, match: LoopMatch) -> None:
+    """Add a match of the last keyframe with a known place, which the estimate agrees with, to the graph.
+
+    Its scans have been matched with this place, too, but only where no wall is known, and together with those just
+    before them, so that drift along a corridor remains. Takes effect with the graph's next update.
+    """
+    mapper.graph.add_submap_match(match.old, match.keyframe, match.relative, POINT_SHARING * match.covariance)
+
+
 def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.bool_]) -> LoopDecision:
     """Move keyframes to their poses by a decision's matches, then merge walls that coincide, if one is `recent` (w,).
 
@@ -97,7 +106,7 @@ def _separate_passes(mapper: Mapper, since: int) -> None:
         if len(gaps) and seen[-1] >= since:
             again[wall] = max(since, int(seen[gaps[-1] + 1]))
     mapper.remove_wall_observations(again)
-    mapper.graph.remove_scan_matches(since, int(np.searchsorted(travelled, travelled[since] - REVISIT_GAP)) - 1)
+    mapper.graph.remove_matches(since, int(np.searchsorted(travelled, travelled[since] - REVISIT_GAP)) - 1)
 
 
 def _agrees(mapper: Mapper, match: LoopMatch) -> bool:

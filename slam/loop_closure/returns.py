@@ -1,4 +1,4 @@
-"""Returns to known places: looks at old places that agree with the estimate, so that nothing is corrected."""
+"""Returns to known places: looks at old places that agree with the estimate, so that no loop has to be closed."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 
+from .decision import LoopMatch
 from .look import SUBMAP_LENGTH, Look
 from .submap_search import SubmapMatch
 
@@ -21,14 +22,11 @@ RETURN_GAP = 2.0 * SUBMAP_LENGTH
 class Return:
     """Look that agrees with the estimate.
 
-    keyframe, old   last keyframe of the submap, and the one in the middle of the old place
-    travelled       metres driven up to the look
+    match           of the look with an old place
     position, turn  distance (metres) and angle (radians) of the estimated pose from the one that fits the old place
     """
 
-    keyframe: int
-    old: int
-    travelled: float
+    match: LoopMatch
     position: float
     turn: float
 
@@ -36,14 +34,14 @@ class Return:
     def of(cls, look: Look, old: int, match: SubmapMatch) -> Return:
         """Return the record of a look's match with an old place."""
         x, y, turn = se2.between(look.relative(old, np.zeros(3)), match.pose).tolist()
-        return cls(look.last, old, look.travelled, float(np.hypot(x, y)), abs(turn))
+        return cls(look.loop_match(old, match), float(np.hypot(x, y)), abs(turn))
 
 
 def summarise(returns: Sequence[Return]) -> dict[str, float]:
     """Return how often the robot returned, the looks, and how well the map fitted there, RMS and largest (metres)."""
     if not returns:
         return {"count": 0, "looks": 0}
-    gaps = np.diff([one.travelled for one in returns])
+    gaps = np.diff([one.match.travelled for one in returns])
     position = np.array([one.position for one in returns])
     return {
         "count": 1 + int((gaps > RETURN_GAP).sum()),

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Segments
-from ..graph.factors import Factor, FactorKind
+from ..graph.factors import MATCH_KINDS, Factor, FactorKind
 from ..graph.rebuilding import LandmarkCopy, with_copies
 from .keyframes import LandmarkIds
 from .read_back import recompute_covariances
@@ -76,7 +76,7 @@ def separate_pass(
     def is_removed(factor: Factor) -> bool:
         if factor.kind is FactorKind.WALL_EQUALITY:
             return (factor.first, factor.second) not in pairs
-        across = factor.kind is FactorKind.SCAN_MATCH and factor.first <= before and factor.second in one.keyframes
+        across = factor.kind in MATCH_KINDS and factor.first <= before and factor.second in one.keyframes
         return across or remove(factor)
 
     _add_copies(mapper, division)

@@ -83,7 +83,7 @@ def _rows_of(factor: Factor, walls: Mapping[int, int], bodies: Mapping[int, int]
     Given are those of the walls, of the keyframes' points, and of the frame of the plan or the survey.
     """
     match factor.kind:
-        case FactorKind.ODOMETRY | FactorKind.LOOP:
+        case FactorKind.ODOMETRY | FactorKind.LOOP | FactorKind.SUBMAP_MATCH:
             return factor.first, factor.second
         case FactorKind.POINT_MAP:
             return factor.first, bodies[factor.second]

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import MapError
-from ...graph.factors import Factor, FactorKind, GraphState
+from ...graph.factors import MATCH_KINDS, Factor, FactorKind, GraphState
 from ...mapping.landmark_table import NEVER_REMOVED, UNOBSERVED
 from ...mapping.landmarks import Landmarks
 
 Ids = NDArray[np.int64]
 
-TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE)
+TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, *MATCH_KINDS, FactorKind.PINNED_POSE)
 FROM_WALL = (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL)
 """Kinds of factors whose `first` is a wall."""
 TO_WALL = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, *FROM_WALL)
