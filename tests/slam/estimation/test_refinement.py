@@ -275,11 +275,12 @@ def drive_through_clutter() -> tuple[Mapper, ScanHistory, np.ndarray]:
             mapper.graph.add_scan_match(k - 1, k, se2.between(true[k - 1], true[k]), covariance)
     for k in (0, 5, 10, 15):
         mapper.graph.add_loop_match(k, count + k, se2.between(true[k], true[count + k]), covariance)
+    mapper.graph.add_submap_match(2, count + 2, se2.between(true[2], true[count + 2]), covariance)
     mapper.solve()
     return mapper, history, true
 
 
-def test_scan_matches_and_loops_by_agreement_are_kept() -> None:
+def test_matches_and_loops_by_agreement_are_kept() -> None:
     mapper, history, true = drive_through_clutter()
     assert np.hypot(*(mapper.keyframe_poses - true)[:, :2].T).max() < 0.02
     refined = refine(mapper, history, OdometryModel(OdometryConfig()))

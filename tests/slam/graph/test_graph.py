@@ -355,11 +355,14 @@ def test_residuals_are_not_reduced_by_the_robust_kernel() -> None:
     graph.add_point_map(0, 1e-8 * np.eye(3))
     graph.add_scan_match(0, 1, np.array([1.05, 0.0, 0.0]), 1e-4 * np.eye(3))
     graph.add_loop_match(0, 1, np.array([1.05, 0.0, 0.0]), 1e-4 * np.eye(3))
+    graph.add_submap_match(0, 1, np.array([1.05, 0.0, 0.0]), 1e-4 * np.eye(3))
     graph.update()
     relinearize_all(graph)
     residuals = graph.residuals()
-    np.testing.assert_allclose(residuals.squared[3:], [25.0, 25.0], rtol=0.02)
-    np.testing.assert_allclose(residuals.weight[3:], [1.0 / (1.0 + 25.0 / 4.0), 1.0], rtol=0.02)
+    robust = 1.0 / (1.0 + 25.0 / 4.0)
+    assert residuals.kind[3:] == ("scan match", "odometry", "submap match")
+    np.testing.assert_allclose(residuals.squared[3:], [25.0, 25.0, 25.0], rtol=0.02)
+    np.testing.assert_allclose(residuals.weight[3:], [robust, 1.0, robust], rtol=0.02)
 
 
 @pytest.mark.parametrize("seed", range(4))
