@@ -73,3 +73,15 @@ def test_other_logs_are_read_as_they_are() -> None:
     kept = list(encoded)
     assert remove_estimates(kept) == set()
     assert kept == encoded
+
+
+def test_estimates_are_kept_if_there_is_no_other_odometry() -> None:
+    """The log that GMapping writes of a log without ODOM lines: nothing else tells how the robot moved."""
+    lines = []
+    for k, pose in enumerate(drive(scans=3)):
+        shown = text(pose)
+        lines += [f"FLASER 2 1.0 1.1 {shown} {shown} {k} host {k}", f"ODOM {shown} 0 0 0 0 host 0", "NEFF 30"]
+    encoded = [line.encode() for line in lines]
+    kept = list(encoded)
+    assert remove_estimates(kept) == set()
+    assert kept == encoded
