@@ -24,6 +24,7 @@ from .carmen_lines import (
     LASERS,
     SICK_NO_RETURN,
     LaserLine,
+    check_stamp,
     no_offsets,
     parse_laser,
     parse_odometry,
@@ -35,6 +36,7 @@ from .microseconds import restore_microseconds
 from .no_returns import find_no_return
 from .range_units import FAR, ScanInUnits, find_range_unit
 from .reader import RecordingReader
+from .standing_clock import SPEED, PathClock, clock_stands
 
 CALIBRATION_LINES = 200
 """Laser lines, spread over the log, from which each laser's mount, unit and no-return value are determined."""
@@ -51,6 +53,25 @@ class LaserProperties:
     mount: se2.Pose | None
     no_return: float  # metres; readings from this value on are no-returns
     per_metre: float  # units of the log's readings in a metre
+
+
+@dataclass(slots=True)
+class _Stamps:
+    """Stamps of the lines: as written; `restored` by line number; or by a clock of its own if the log's one stands."""
+
+    restored: dict[int, float]
+    clock: PathClock | None = None
+
+    def check(self, written: float) -> None:
+        """Raise ValueError for a stamp that is invalid, unless the written ones do not count."""
+        if self.clock is None:
+            check_stamp(written)
+
+    def of(self, number: int, kind: bytes, written: float, pose: Floats) -> float:
+        """Return the stamp of a line of a kind, seconds; `pose` (3,) is the odometry there."""
+        if self.clock is not None:
+            return self.clock.stamp(kind, pose)
+        return self.restored.get(number, written)
 
 
 @dataclass(slots=True)
@@ -103,23 +124,24 @@ class CarmenReader(RecordingReader):
             self.interpret("written by GMapping, with its estimates in the odometry; the wheels' odometry is restored")
         lasers = {kind: self._calibrate(kind, lines) for kind in LASERS}
         odometry = _OdometryFilter()
-        stamps = self._restored_stamps(lines)
+        stamps = self._stamps(lines)
         for number, line in enumerate(lines, start=1):
             kind = line[:12].partition(b" ")[0]
             try:
                 if kind == b"ODOM":
-                    values = parse_odometry(line)
+                    written, pose = parse_odometry(line)
+                    stamps.check(written)
                     if corrected:
-                        values = (values[0], *wheels.restore(np.array(values[1:])).tolist())
-                    if number in stamps:
-                        values = (stamps[number], *values[1:])
-                    if odometry.is_new(values, from_scan=False):
-                        yield number, Odometry(values[0], np.array(values[1:]))
+                        pose = wheels.restore(pose)
+                    stamp = stamps.of(number, kind, written, pose)
+                    if odometry.is_new((stamp, *pose.tolist()), from_scan=False):
+                        yield number, Odometry(stamp, pose)
                 elif kind in lasers:
                     parsed = _in_metres(parse_laser(kind, line), lasers[kind].per_metre)
-                    parsed.stamp = stamps.get(number, parsed.stamp)
+                    stamps.check(parsed.stamp)
                     if number in corrected:
                         parsed.poses[3:] = wheels.go_on_from(parsed.poses[3:].copy())
+                    parsed.stamp = stamps.of(number, kind, parsed.stamp, parsed.poses[3:])
                     values = (parsed.stamp, *parsed.poses[3:].tolist())
                     if odometry.is_new(values, from_scan=True):
                         yield number, Odometry(parsed.stamp, parsed.poses[3:].copy())
@@ -146,6 +168,15 @@ class CarmenReader(RecordingReader):
             [np.where(line.readings < _stated_limit(line), line.readings, np.nan) for line in sample]
         )
         return LaserProperties(_estimate_mount(poses), math.inf if no_return is None else no_return, per_metre)
+
+    def _stamps(self, lines: list[bytes]) -> _Stamps:
+        if not clock_stands(lines):
+            return _Stamps(self._restored_stamps(lines))
+        self.doubt(
+            "most scans have the same stamp, so the times are not known: lines are read in their order, as if the "
+            f"robot had driven {SPEED:g} m/s"
+        )
+        return _Stamps({}, PathClock())
 
     def _restored_stamps(self, lines: list[bytes]) -> dict[int, float]:
         """Return line number -> stamp for all stamps that have to be read differently from what is written."""

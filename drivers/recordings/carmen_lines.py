@@ -67,18 +67,18 @@ def _numbers(words: list[bytes]) -> Floats:
     return np.fromiter(map(_NUMBERS.__getitem__, words), np.float64, len(words))
 
 
-def parse_odometry(line: bytes) -> tuple[float, float, float, float]:
-    """Return stamp, x, y, theta of an ODOM line."""
+def parse_odometry(line: bytes) -> tuple[float, Floats]:
+    """Return the stamp, which is not checked, and the pose (3,) of an ODOM line."""
     words = line.split()
     if len(words) < 9:  # if the host after it is missing, the stamp may be truncated
         raise ValueError("too few fields")
     x, y, theta, stamp = float(words[1]), float(words[2]), float(words[3]), float(words[7])
-    _check(stamp, x, y, theta)
-    return stamp, x, y, theta
+    _check(x, y, theta)
+    return stamp, np.array([x, y, theta])
 
 
 def parse_laser(kind: bytes, line: bytes) -> LaserLine:
-    """Parse a laser line; raises ValueError if it is incomplete or invalid."""
+    """Parse a laser line; raises ValueError if it is incomplete or invalid. Its stamp is not checked."""
     words = line.split()
     if kind == b"ROBOTLASER1":
         return _robotlaser(words)
@@ -87,7 +87,7 @@ def parse_laser(kind: bytes, line: bytes) -> LaserLine:
     if not 8 <= len(rest) <= 9:
         raise ValueError("number of fields does not match the number of beams")
     poses, stamp = [float(word) for word in rest[:6]], float(rest[6])
-    _check(stamp, *poses)
+    _check(*poses)
     return LaserLine(stamp, _numbers(readings), half_turn_angles(count), np.array(poses), None)
 
 
@@ -103,7 +103,7 @@ def _robotlaser(words: list[bytes]) -> LaserLine:
     if not (abs(start) < 10.0 and 0.0 < resolution < 7.0 and limit > 0.0):
         raise ValueError("start angle, resolution or maximum range is invalid")
     poses, stamp = [float(word) for word in rest[:6]], float(rest[11])
-    _check(stamp, *poses)
+    _check(*poses)
     return LaserLine(stamp, _numbers(words[9 : 9 + count]), _angles(start, resolution, count), np.array(poses), limit)
 
 
@@ -128,9 +128,14 @@ def _count(words: list[bytes], index: int) -> int:
     return count
 
 
-def _check(stamp: float, *pose: float) -> None:
+def check_stamp(stamp: float) -> float:
+    """Return the stamp of a line, seconds; raises ValueError if it is negative or not finite."""
     if not 0.0 <= stamp < math.inf:
         raise ValueError("stamp is invalid")
+    return stamp
+
+
+def _check(*pose: float) -> None:
     for value in pose:
         if not abs(value) < 1e9:  # also nan
             raise ValueError("pose is not finite")

@@ -35,7 +35,9 @@ def remove_estimates(lines: list[bytes]) -> set[int]:
             odometry = line.split()[1:4]
             if pose and odometry == pose:
                 estimates.append((scan, number))
-                corrected += before != pose  # else the robot stands still, or the scan has the odometry's pose
+                # else the robot stands still, the scan has the odometry's pose, or there is no other odometry
+                corrected += bool(before) and before != pose
+                odometry = []
             pose, before = [], odometry
     if corrected < MIN_CORRECTED or 2 * corrected <= scans:
         return set()

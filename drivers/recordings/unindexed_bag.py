@@ -17,8 +17,10 @@ from .decompression import decompress
 
 MAGIC = b"#ROSBAG V2.0\n"
 
-_MESSAGE, _CHUNK, _CONNECTION = b"\x02", b"\x05", b"\x07"
-"""Operation codes of the records with messages, chunks of records, and topics."""
+_MESSAGE, _INDEX, _CHUNK, _CONNECTION = b"\x02", b"\x04", b"\x05", b"\x07"
+"""Operation codes of the records with messages, places of a chunk's messages, chunks of records, and topics."""
+_INDEX_ENTRY = 12
+"""Bytes of a message's place: its time and offset. Recorders of 2010 state a larger size of the record than it has."""
 
 Fields = dict[bytes, bytes]
 """Fields of a record's header by name."""
@@ -53,7 +55,11 @@ def _records(content: mmap.mmap | bytes, start: int, in_chunk: bool = False) -> 
         fields = _fields(header)
         if b"op" not in fields:  # such as the zeros of space that was reserved but not written
             raise ValueError("a record without operation code")
-        if fields[b"op"] != _CHUNK:
+        if fields[b"op"] == _INDEX:
+            at += 4 + _INDEX_ENTRY * _unpack("<I", fields.get(b"count", b""))[0]
+            if at > len(content):
+                raise ValueError("ends within a record")
+        elif fields[b"op"] != _CHUNK:
             data, at = _block(content, at)
             yield fields, data
         elif in_chunk:

@@ -31,6 +31,8 @@ MAX_SEEING_SCANS = 2
 # Metres: standard deviation of the position after a stretch without a match, relative to that before it, from which on
 # it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
 MAX_BLIND_SIGMA = 0.25
+# Parts of the map whose times are named. Origin: chosen; more are not read.
+SHOWN_PARTS = 4
 
 
 def drive_of(
@@ -142,9 +144,7 @@ def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float], start: f
         return []
     firsts = [parts.firsts[group] for group in apart]
     stamps = [float(keyframe_stamps[first]) for first in firsts]
-    where = (
-        "from here on" if len(apart) == 1 else f"beginning at {', '.join(elapsed(stamp - start) for stamp in stamps)}"
-    )
+    where = "from here on" if len(apart) == 1 else f"beginning at {_listed([elapsed(at - start) for at in stamps])}"
     how = "their relative pose is not known, as the robot may have been carried"
     if all(parts.measured[group] for group in apart):
         sigma, turn_sigma = _largest_deviations(mapper, firsts)
@@ -153,6 +153,12 @@ def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float], start: f
     text = f"the map has {len(apart) + 1} unconnected parts, {where}; {how}"
     last = float(keyframe_stamps[-1])
     return [Suspect(PARTS, stamps[0], stamps[0], last, mapper.keyframe_poses[firsts[0], :2].copy(), 1.0, text)]
+
+
+def _listed(times: Sequence[str]) -> str:
+    """Return times as text, the first SHOWN_PARTS of them."""
+    more = len(times) - SHOWN_PARTS
+    return ", ".join(times[:SHOWN_PARTS]) + (f" and {more} later times" if more > 0 else "")
 
 
 def _largest_deviations(mapper: Mapper, firsts: Sequence[int]) -> tuple[float, float]:

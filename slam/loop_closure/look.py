@@ -255,13 +255,19 @@ class Look:
         return kept
 
     def _are_consistent(self, match: LoopMatch, other: LoopMatch) -> bool:
-        """Return True if the motion from one match to another over the old map agrees with the estimate."""
+        """Return True if the motion from one match to another over the old map agrees with the estimate.
+
+        The covariance of the estimate takes long, and makes the distance only smaller: it is needed if that of the
+        matches does not suffice.
+        """
         poses = self._mapper.keyframe_poses
         over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
-        scale = float(self.error_scale(match.keyframe, other.keyframe))
-        covariance = scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
-        covariance += np.diag(UNMODELLED_SIGMAS**2) + covariance_after(match.covariance, over_old) + other.covariance
         estimated = se2.between(poses[match.keyframe], poses[other.keyframe])
+        covariance = np.diag(UNMODELLED_SIGMAS**2) + covariance_after(match.covariance, over_old) + other.covariance
+        if squared_distance(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE:
+            return True
+        scale = float(self.error_scale(match.keyframe, other.keyframe))
+        covariance += scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
         return squared_distance(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
 
     def search(self, old: int) -> Sequence[SubmapMatch]:

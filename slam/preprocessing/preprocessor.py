@@ -20,6 +20,9 @@ from ..odometry.history import EVEN_SECONDS, OdometryHistory
 from .lidar_features import LidarFeatures, joined
 from .scan_queue import ScanPair, ScanQueue
 
+# Seconds between two scans at least: scans are told apart by their stamps, which files state in microseconds. Origin:
+# definition.
+DISTINCT = 1e-6
 # Features of an empty scan. Origin: definition.
 NO_FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
@@ -34,8 +37,8 @@ class ProcessedScan:
 
     With two lidars it has the features of a scan of either.
 
-    stamp     seconds, the middle of the sweep
-    odometry  (3,) odometry pose at `stamp`
+    stamp     seconds, the middle of the sweep; later than that of the scan before
+    odometry  (3,) odometry pose in the middle of the sweep
     features  segments, corners and points in the base's frame
     travel    metres of wheel travel from the middle of the sweep to its ends
     """
@@ -58,6 +61,7 @@ class Preprocessor:
         self._second_is_known = second_noise is not None
         self._predicts_odometry = config.odometry.source == "none"
         self._queue = ScanQueue(two_lidars=bool(config.second_lidar.topic), predicts_odometry=self._predicts_odometry)
+        self._latest = -np.inf  # stamp of the last processed scan
         self.odometry = OdometryHistory()
         self.scans = 0
         self.second_scans = 0
@@ -117,7 +121,8 @@ class Preprocessor:
     def process(self, pair: ScanPair, odometry_model: OdometryModel) -> ProcessedScan:
         """De-skew a scan and extract its segments, corners and the points on neither.
 
-        Those of a second lidar's scan are added, moved to the stamp of the first.
+        Those of a second lidar's scan are added, moved to the stamp of the first. Stamps may be coarser than the scans
+        are frequent: one with the stamp of the scan before gets a stamp DISTINCT from it.
         """
         first = self._first.extract(pair.first, self.odometry, odometry_model)
         features, deskewed = first.in_base_frame(odometry_model), first.deskewed
@@ -126,4 +131,5 @@ class Preprocessor:
             second = self._second.extract(pair.second, self.odometry, odometry_model)
             features = joined(features, second.moved_to(deskewed, odometry_model).in_base_frame(odometry_model))
             self.joined_scans += 1
-        return ProcessedScan(deskewed.stamp, deskewed.odometry, features, travel)
+        self._latest = max(deskewed.stamp, self._latest + DISTINCT)
+        return ProcessedScan(self._latest, deskewed.odometry, features, travel)

@@ -199,6 +199,17 @@ def test_duplicate_messages_do_not_degrade_the_trajectory(drive: list[Message]) 
     assert error(run(message for message in without_ground_truth(drive) for _ in range(2)), drive) < 0.01
 
 
+@pytest.mark.parametrize("resolution", [0.25, 1.0])
+def test_stamps_may_be_coarser_than_scans_are_frequent(
+    drive: list[Message], drive_result: Finished, resolution: float
+) -> None:
+    """Ten scans of a second have the same stamp; they are different scans nevertheless."""
+    messages = without_ground_truth(drive)
+    finished = run(replace(m, stamp=float(m.stamp // resolution * resolution)) for m in messages)  # type: ignore[type-var]
+    assert len(np.unique(finished.stamps)) >= sum(isinstance(message, Scan) for message in messages)
+    np.testing.assert_allclose(finished.poses[-1], drive_result.poses[-1], atol=0.1)
+
+
 @pytest.mark.parametrize("kind", ["no returns", "no beams", "one beam", "infinite", "behind the wall"])
 def test_damaged_scans_do_not_degrade_the_trajectory(drive: list[Message], kind: str) -> None:
     def strange(scan: Scan) -> Scan:

@@ -80,3 +80,15 @@ def test_other_logs_are_read_as_they_are() -> None:
 def test_invalid_numbers_of_beams_are_no_estimates(count: str) -> None:
     lines = [f"ODOM 0 0 0 0 0 0 1 host 1\nFLASER {count} 1.0 1.1 1 0 0 0 0 0 2 host 2\n".encode()]
     assert remove_estimates(lines[0].splitlines(keepends=True)) == set()
+
+
+def test_estimates_are_kept_if_there_is_no_other_odometry() -> None:
+    """The log that GMapping writes of a log without ODOM lines: nothing else tells how the robot moved."""
+    lines = []
+    for k, pose in enumerate(drive(scans=3)):
+        shown = text(pose)
+        lines += [f"FLASER 2 1.0 1.1 {shown} {shown} {k} host {k}", f"ODOM {shown} 0 0 0 0 host 0", "NEFF 30"]
+    encoded = [line.encode() for line in lines]
+    kept = list(encoded)
+    assert remove_estimates(kept) == set()
+    assert kept == encoded

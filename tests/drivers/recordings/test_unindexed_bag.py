@@ -62,6 +62,29 @@ def test_a_bag_that_was_not_closed_is_read(tmp_path: Path, recordings: dict[str,
     ]
 
 
+def with_long_indices(content: bytes) -> bytes:
+    """Return a bag whose records with the places of a chunk's messages state 20 bytes for each, and have 12."""
+    changed, at = bytearray(content), len(b"#ROSBAG V2.0\n")
+    while at < len(content):
+        (header,) = struct.unpack_from("<I", content, at)
+        at += 4 + header
+        (length,) = struct.unpack_from("<I", content, at)
+        if b"op=\x04" in content[at - header : at]:
+            struct.pack_into("<I", changed, at, length // 12 * 20)
+        at += 4 + length
+    return bytes(changed)
+
+
+def test_a_bag_of_the_first_recorders_of_its_version_is_read(
+    tmp_path: Path, recordings: dict[str, str], bag: bytes
+) -> None:
+    (path := tmp_path / "drive.bag").write_bytes(with_long_indices(bag))
+    assert path.read_bytes() != bag
+    source = drivers.open(path)
+    assert same(list(source), list(drivers.open(recordings["ros1-bag"])))
+    assert not source.report.skipped
+
+
 @pytest.mark.parametrize("compression", [Writer.CompressionFormat.LZ4, Writer.CompressionFormat.BZ2])
 def test_compressed_chunks_are_read(tmp_path: Path, recordings: dict[str, str], compression: Any) -> None:
     path = compressed(tmp_path / "drive.bag", recordings["ros1-bag"], compression)

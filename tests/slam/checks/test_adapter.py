@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from drivers import se2
-from slam.checks.adapter import drive_of
+from slam.checks.adapter import drive_of, unconnected_parts
 from slam.config import Config
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
@@ -45,3 +47,12 @@ def test_each_motion_of_odometry_is_corrected() -> None:
 def test_a_run_without_any_placed_scan_is_an_empty_drive() -> None:
     nothing = (np.zeros(0), np.zeros((0, 3)))
     assert len(drive_of(scans(3), [0], nothing, OdometryModel(Config().odometry), 0.0)) == 0
+
+
+def test_only_the_first_of_many_parts_are_named() -> None:
+    parts = SimpleNamespace(apart=range(1, 30), firsts=range(30), measured=[False] * 30)
+    mapper = SimpleNamespace(
+        landmarks=SimpleNamespace(parts=parts), keyframe_count=30, keyframe_poses=np.zeros((30, 3))
+    )
+    (suspect,) = unconnected_parts(mapper, list(range(100, 130)), 100.0)  # type: ignore[arg-type]
+    assert "30 unconnected parts, beginning at 0:01, 0:02, 0:03, 0:04 and 25 later times;" in suspect.text
