@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-
 MAX_HALF_TEXT = 500
 """Characters at the beginning and at the end of an error's text that are shown if it is longer than both."""
 
