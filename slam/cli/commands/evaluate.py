@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..console import print_message
+
+if TYPE_CHECKING:
+    from ...evaluation.metrics import Relations
+    from ...io.tum import Trajectory
 
 EXIT_INCOMPLETE = 1
 """Exit status if relations lie outside the trajectory's time: the figures are not those of the whole benchmark."""
@@ -22,6 +26,13 @@ def evaluate(
     reference: Annotated[
         Path | None, typer.Option("--reference", help="Reference trajectory in the same format.")
     ] = None,
+    recording: Annotated[
+        Path | None,
+        typer.Option(
+            "--recording",
+            help="Recording of the drive: count the relations at which its scans fit better along the trajectory.",
+        ),
+    ] = None,
     plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the errors.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON instead of text.")] = False,
 ) -> None:
@@ -33,18 +44,23 @@ def evaluate(
     """
     if (relations is None) == (reference is None):
         raise typer.BadParameter("exactly one of the two is required", param_hint="--relations / --reference")
+    if recording is not None and relations is None:
+        raise typer.BadParameter("is for relations only", param_hint="--recording")
     if relations is not None:
-        _against_relations(trajectory, relations, plot, as_json)
+        _against_relations(trajectory, relations, recording, plot, as_json)
     elif reference is not None:
         _against_reference(trajectory, reference, plot, as_json)
 
 
-def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_json: bool) -> None:
+def _against_relations(
+    trajectory: Path, relations: Path, recording: Path | None, plot: Path | None, as_json: bool
+) -> None:
     from ...evaluation.metrics import read_relations, score_relations
     from ...io.tum import read_tum
 
-    score = score_relations(read_tum(trajectory), read_relations(relations))
-    figures = score.figures()
+    path, true = read_tum(trajectory), read_relations(relations)
+    score = score_relations(path, true)
+    figures = score.figures() | (_fit_figures(path, true, recording) if recording is not None else {})
     if as_json:
         typer.echo(json.dumps(figures))
     else:
@@ -56,6 +72,12 @@ def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_
             f"relations   {figures['relations']}, {100 * figures['interpolated']:.1f} % with an interpolated pose, "
             f"{figures['missing']} outside the trajectory"
         )
+    if recording is not None and not as_json:
+        typer.echo(
+            f"scans       fit better along the trajectory at {100 * figures['path_fits_better']:.0f} % of "
+            f"{figures['compared']} relations, and at {100 * figures['path_fits_better_of_large']:.0f} % of "
+            f"{figures['large_errors']} with the largest errors, from {figures['large_errors_from']:.3f} m on"
+        )
     if plot is not None:
         from ...visualisation.plots import plot_relations
 
@@ -63,6 +85,15 @@ def _against_relations(trajectory: Path, relations: Path, plot: Path | None, as_
     if score.missing:
         print_message(f"{trajectory}: {score.missing} relations lie outside the trajectory's time and are not scored")
         raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _fit_figures(path: Trajectory, relations: Relations, recording: Path) -> dict[str, float]:
+    import drivers
+
+    from ...evaluation.relation_fit import compare_fits
+
+    scans = (message for message in drivers.open(recording) if isinstance(message, drivers.Scan))
+    return compare_fits(path, relations, scans).figures()
 
 
 def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
