@@ -179,7 +179,8 @@ def _enter_into_tile(tiles, tile, first, last, x, y):  # type: ignore[no-untyped
         upper = round(dx) << 16
         for j in range(TILE):
             stored = tiles[t, np.uintp(i), np.uintp(j)]
+            old = squared_length(stored)
             dy = FIELD_CELL * (j + 0.5 - y) * UNITS_PER_METRE
             squared = np.int32(dx * dx + dy * dy)
             offset = np.int32(upper | (np.int32(np.rint(dy)) & 0xFFFF))
-            tiles[t, np.uintp(i), np.uintp(j)] = offset if (squared < MAX_SQUARED) & (squared < squared_length(stored)) else stored
+            tiles[t, np.uintp(i), np.uintp(j)] = offset if (squared < MAX_SQUARED) & (squared < old) else stored
