@@ -85,7 +85,8 @@ def align_submap(start: se2.Pose, submap: MapDescriptor, samples: WallSamples, d
     )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
     spacings = np.full(len(samples.wall), SAMPLE_SPACING)
-    observed, matched = (np.bincount(samples.wall, lengths, len(submap)) for lengths in (spacings, spacings * on_map))
+    observed = np.asarray(np.bincount(samples.wall, spacings, len(submap)), dtype=np.float64)
+    matched = np.asarray(np.bincount(samples.wall, spacings * on_map, len(submap)), dtype=np.float64)
     return Alignment(pose, information, matches, observed, matched)
 
 
