@@ -11,12 +11,14 @@ likelihood of scale s admits points that only one of the scans has seen.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .. import se2
+from ..compiled import compiled
 from ..messages import Floats, Scan
 
 # Radians, width of a direction bin in the search for the rotation.
@@ -24,6 +26,8 @@ from ..messages import Floats, Scan
 BIN = 0.02
 # Radians, largest rotation between two scans that is found. Origin: chosen, 4 rad/s at 5 Hz; not measured.
 MAX_ROTATION = 0.8
+# The same in bins. Origin: definition.
+MAX_ROTATION_STEPS = round(MAX_ROTATION / BIN)
 # Metres, difference of two ranges from which on they count as of different objects. Origin: chosen; not measured.
 MAX_RANGE_STEP = 0.3
 # Metres, scale of the likelihood: noise of a cheap lidar's range. Origin: chosen; not measured.
@@ -125,12 +129,27 @@ def surface(points: Floats) -> Surface | None:
 def find_rotation(scan: Scan, reference: Scan) -> float:
     """Return the heading of a scan in the frame of a reference at the same place, radians, to BIN."""
     ranges, of_reference = _range_profile(scan), _range_profile(reference)
-    steps = np.arange(-round(MAX_ROTATION / BIN), round(MAX_ROTATION / BIN) + 1)
-    bins = np.arange(len(ranges))
-    difference = np.minimum(np.abs(ranges[(bins - steps[:, None]) % len(bins)] - of_reference), MAX_RANGE_STEP)
-    known = np.isfinite(difference)
-    total = np.where(known, difference, 0.0).sum(axis=1)
-    return BIN * float(steps[np.argmin(total / np.maximum(known.sum(axis=1), 1))])
+    return BIN * float(np.argmin(_mean_differences(ranges, of_reference)) - MAX_ROTATION_STEPS)
+
+
+@compiled
+def _mean_differences(ranges, of_reference):  # type: ignore[no-untyped-def]
+    """Return the mean differences (2 MAX_ROTATION_STEPS + 1,) of two range profiles (b,), one turned bin by bin.
+
+    A difference counts as MAX_RANGE_STEP at most, and not at all where one of the scans has no return.
+    """
+    bins, means = len(ranges), np.empty(2 * MAX_ROTATION_STEPS + 1)
+    for k in range(len(means)):
+        total, known = 0.0, 0
+        for b in range(bins):
+            at = b + MAX_ROTATION_STEPS - k
+            at += bins if at < 0 else (-bins if at >= bins else 0)  # takes less time than a remainder
+            difference = abs(ranges[at] - of_reference[b])
+            if not math.isnan(difference):
+                total += min(difference, MAX_RANGE_STEP)
+                known += 1
+        means[k] = total / max(known, 1)
+    return means
 
 
 def _range_profile(scan: Scan) -> Floats:

@@ -116,8 +116,12 @@ def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-unt
         ex, ey = c * dx + s * dy, c * dy - s * dx  # viewpoint in the wall's frame
         c, s = math.cos(pose[2] - frames[wall, 2]), math.sin(pose[2] - frames[wall, 2])
         start, size = ends[wall], ends[wall + 1] - ends[wall]
+        side, other_side = math.copysign(1.0, ey), 0
         for p in range(len(points)):
             across[p] = ey + s * points[p, 0] + c * points[p, 1]
+            other_side += side * across[p] < ON_WALL_DISTANCE
+        if not other_side:  # as for most walls: all points are on this side of its line
+            continue
         for p in range(len(points)):
             on_wall = abs(across[p]) < ON_WALL_DISTANCE
             if not on_wall and not _three_cross(across, p, ey):

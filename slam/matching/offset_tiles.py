@@ -103,6 +103,13 @@ def metres(offset):  # type: ignore[no-untyped-def]
 
 
 @inlined
+def squared_length(offset):  # type: ignore[no-untyped-def]
+    """Return the squared length of a stored offset in squared units, more than MAX_SQUARED if there is none."""
+    dx, dy = np.int32(offset >> 16), np.int32(np.int32(offset << 16) >> 16)
+    return np.int32(np.int32(dx * dx) + np.int32(dy * dy))
+
+
+@inlined
 def enter_point(tile_of, tiles, count, grid, x, y):  # type: ignore[no-untyped-def]
     """Enter the offsets from a point at (x, y), in cells, into the cells around it that it may be the nearest one of.
 
@@ -112,7 +119,7 @@ def enter_point(tile_of, tiles, count, grid, x, y):  # type: ignore[no-untyped-d
     a wall has neighbours on either side.
     """
     near_x, near_y = _from_nearest(tile_of, tiles, grid, x, y, x, y)
-    distance, far_x, far_y = math.hypot(near_x, near_y), 0.0, 0.0
+    distance, far_x, far_y = math.sqrt(near_x * near_x + near_y * near_y), 0.0, 0.0  # hypot takes longer
     if distance > 0.0:
         beyond_x, beyond_y = x + BEYOND * near_x / distance, y + BEYOND * near_y / distance
         far_x, far_y = _from_nearest(tile_of, tiles, grid, x, y, beyond_x, beyond_y)
@@ -172,8 +179,7 @@ def _enter_into_tile(tiles, tile, first, last, x, y):  # type: ignore[no-untyped
         upper = round(dx) << 16
         for j in range(TILE):
             stored = tiles[t, np.uintp(i), np.uintp(j)]
-            old_x, old_y = np.int32(stored >> 16), np.int32(np.int32(stored << 16) >> 16)
-            old = np.int32(np.int32(old_x * old_x) + np.int32(old_y * old_y))
+            old = squared_length(stored)
             dy = FIELD_CELL * (j + 0.5 - y) * UNITS_PER_METRE
             squared = np.int32(dx * dx + dy * dy)
             offset = np.int32(upper | (np.int32(np.rint(dy)) & 0xFFFF))

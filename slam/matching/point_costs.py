@@ -14,10 +14,12 @@ from drivers.compiled import compiled, inlined
 from ..geometry.small_matrices import quadratic_form
 from .distance_field import ALL_POINTS, facing_grid, nearest_distance
 from .free_space import is_seen
-from .offset_tiles import FIELD_CELL, MAX_DISTANCE
+from .offset_tiles import FIELD_CELL, MAX_SQUARED, OFFSET_UNIT, offset_at, squared_length
 
 # Metres, scale of the wide kernel. Origin: chosen, a fifth of MAX_DISTANCE; not measured.
 COARSE_SIGMA = 0.10
+# Cost of a squared unit of offsets: squares are compared without taking their roots. Origin: definition.
+COST_OF_SQUARE = 0.5 * (OFFSET_UNIT / COARSE_SIGMA) ** 2
 # Cost of a point that fits nowhere, and of one in a cell that was not seen. Origin: chosen, a point that fits nowhere
 # is 2.8 standard deviations off; an unseen one costs the mean of fitting and not fitting.
 MISFIT = 4.0
@@ -92,13 +94,15 @@ def cost_at(field, grid, x, y):  # type: ignore[no-untyped-def]
 
     The most frequent case is decided first: this is the innermost function of all searches.
     """
-    if not is_seen(field[3], x, y):
+    _, tile_of, tiles, seen = field
+    if not is_seen(seen, x, y):
         return UNSEEN, False
-    distance = nearest_distance(field, grid, x, y)
-    if distance < MAX_DISTANCE:
-        return min(0.5 * distance * distance / (COARSE_SIGMA * COARSE_SIGMA), MISFIT), True
+    row, column = math.floor(x), math.floor(y)
+    squared = squared_length(offset_at(tile_of, tiles, grid, row, column))
+    if squared < MAX_SQUARED:
+        return min(COST_OF_SQUARE * squared, MISFIT), True
     # Beside a surface that faces elsewhere, a point may be on the other side of a wall.
-    known = nearest_distance(field, ALL_POINTS, x, y) >= MAX_DISTANCE
+    known = squared_length(offset_at(tile_of, tiles, ALL_POINTS, row, column)) >= MAX_SQUARED
     return (MISFIT if known else UNSEEN), known
 
 

@@ -174,10 +174,14 @@ def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDEN
 
 def thin(points: Floats) -> Floats:
     """Return one of the points (p, 4) of each square of THINNED_SPACING whose surfaces face in about one direction."""
+    if not len(points):
+        return points
     squares = np.round(points[:, :2] / THINNED_SPACING).astype(np.int64)
     facing = np.round(np.arctan2(points[:, 3], points[:, 2]) / (0.5 * math.pi)).astype(np.int64) % 4
     facing[~points[:, 2:].any(axis=1)] = 4
-    _, first = np.unique(np.column_stack([squares, facing]), axis=0, return_index=True)
+    # One number for each square and direction: to compare rows takes ten times as long.
+    column, row = (squares - squares.min(axis=0)).T
+    _, first = np.unique((column * (row.max() + 1) + row) * 5 + facing, return_index=True)
     return np.ascontiguousarray(points[np.sort(first)])
 
 

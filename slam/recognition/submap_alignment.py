@@ -84,9 +84,9 @@ def align_submap(start: se2.Pose, submap: MapDescriptor, samples: WallSamples, d
         descriptor.frame, descriptor.half_length, descriptor.covariance, descriptor.stretches, first,
     )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
-    observed, matched = np.zeros(len(submap)), np.zeros(len(submap))
-    np.add.at(observed, samples.wall, SAMPLE_SPACING)
-    np.add.at(matched, samples.wall, SAMPLE_SPACING * on_map)
+    spacings = np.full(len(samples.wall), SAMPLE_SPACING)
+    observed = np.asarray(np.bincount(samples.wall, spacings, len(submap)), dtype=np.float64)
+    matched = np.asarray(np.bincount(samples.wall, spacings * on_map, len(submap)), dtype=np.float64)
     return Alignment(pose, information, matches, observed, matched)
 
 

@@ -107,17 +107,25 @@ def _cell_keys(cells: Integers, rows: int) -> Integers:
     return ((cells[..., 0] + 1) * rows + cells[..., 1] + 1) * HEADING_CELLS + cells[..., 2]
 
 
-def _separate_cells(cells: Integers, order: Integers, max_count: int) -> Integers:
-    """Return the first rows in `order` whose cells are not neighbours, at most `max_count`."""
-    chosen: list[int] = []
+@compiled
+def _separate_cells(cells, order, max_count):  # type: ignore[no-untyped-def]
+    """Return the first rows in `order` whose cells (n, 3) are not neighbours, at most `max_count`."""
+    chosen, count = np.empty(min(max_count, len(order)), np.int64), 0
     for row in order:
-        difference = np.abs(cells[chosen] - cells[row])
-        difference[:, 2] = np.minimum(difference[:, 2], HEADING_CELLS - difference[:, 2])
-        if not (difference <= 1).all(axis=1).any():
-            chosen.append(int(row))
-            if len(chosen) == max_count:
+        is_near = False
+        for other in chosen[:count]:
+            turn = abs(cells[row, 2] - cells[other, 2])
+            is_near |= (
+                abs(cells[row, 0] - cells[other, 0]) <= 1
+                and abs(cells[row, 1] - cells[other, 1]) <= 1
+                and min(turn, HEADING_CELLS - turn) <= 1
+            )
+        if not is_near:
+            chosen[count] = row
+            count += 1
+            if count == max_count:
                 break
-    return np.array(chosen, dtype=np.int64)
+    return chosen[:count]
 
 
 @compiled
