@@ -63,5 +63,5 @@ def test_domain_is_that_of_the_environment() -> None:
     assert domain_id({}) == 0
     assert domain_id({"ROS_DOMAIN_ID": "42"}) == 42
     for text in ("-1", "233", "two", 5000 * "1"):
-        with pytest.raises(DriverError, match=f"ROS_DOMAIN_ID={text}"):
+        with pytest.raises(DriverError, match=f"ROS_DOMAIN_ID={text[:100]}"):
             domain_id({"ROS_DOMAIN_ID": text})
