@@ -61,7 +61,7 @@ def add_return(mapper: Mapper, match: LoopMatch) -> None:
     Its scans have been matched with this place, too, but only where no wall is known, and together with those just
     before them, so that drift along a corridor remains. Takes effect with the graph's next update.
     """
-    mapper.graph.add_submap_match(match.old, match.keyframe, match.relative, POINT_SHARING * match.covariance)
+    mapper.graph.add_submap_match(match.old, match.keyframe, match.relative, match.covariance)
 
 
 def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.bool_]) -> LoopDecision:
