@@ -37,7 +37,7 @@ def _search_connected(state: SlamState) -> LoopDecision | None:
     if state.loops.correction_likely:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
     if decision is None:
-        if (match := state.loops.take_return(mapper.keyframe_count - 1)) is not None:
+        if (match := state.loops.return_at(mapper.keyframe_count - 1)) is not None:
             closing.add_return(mapper, match)
         return None
     decision = check_evidence(mapper, field, decision, among)

@@ -39,7 +39,7 @@ LARGEST_SHARE = 0.1
 class RelationFit:
     """How well two scans fit at n relations of which both scans are known.
 
-    errors               (n,) metres between the motion of the path and the relation
+    errors                (n,) metres between the motion of the path and the relation
     by_path, by_relation  (n,) fit of the second scan to the first, 0 to 1, by the motion of either
     """
 

@@ -99,6 +99,11 @@ class GraphEstimate:
         """Return point maps, matches and loop factors: all that ties keyframes besides odometry and landmarks."""
         return self._factors_of(FactorKind.POINT_MAP, *MATCH_KINDS, FactorKind.LOOP)
 
+    def last_submap_match(self) -> int | None:
+        """Return the last keyframe with a submap match, without those waiting for `update`; None if there is none."""
+        factors = self.solver.factors.values()
+        return max((factor.second for factor in factors if factor.kind is FactorKind.SUBMAP_MATCH), default=None)
+
     def wall_observations(self) -> list[tuple[int, int]]:
         """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""
         return [(factor.first, factor.second) for factor in self._factors_of(FactorKind.WALL_HEADING)]

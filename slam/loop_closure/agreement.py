@@ -72,7 +72,6 @@ class LoopAgreement:
         self._given_up: list[LoopHypothesis] = []
         self.returns: list[Return] = []
         """Looks of this run that agree with the estimate, for reports."""
-        self._last_taken = -np.inf  # metres driven up to the last return that was taken
         self._restore(LoopAgreementState(), Submaps())
 
     def __deepcopy__(self, memo: dict[int, object]) -> LoopAgreement:
@@ -80,19 +79,12 @@ class LoopAgreement:
         other = LoopAgreement(self._search_place, joins=self._joins)
         other._restore(self.state, self._submaps.copy())
         other._given_up, other.returns = list(self._given_up), list(self.returns)
-        other._last_taken = self._last_taken
         return other
 
-    def take_return(self, keyframe: int) -> LoopMatch | None:
-        """Return the match of the look at a keyframe with an old place, if it agrees with the estimate.
-
-        Looks that have points in common with the last one that was taken are left out: their errors are the same.
-        """
+    def return_at(self, keyframe: int) -> LoopMatch | None:
+        """Return the match of the look at a keyframe with an old place, if it agrees with the estimate."""
         match = self.returns[-1].match if self.returns else None
-        if match is None or match.keyframe != keyframe or match.travelled - self._last_taken < SUBMAP_LENGTH:
-            return None
-        self._last_taken = match.travelled
-        return match
+        return match if match is not None and match.keyframe == keyframe else None
 
     @property
     def state(self) -> LoopAgreementState:

@@ -59,8 +59,12 @@ def add_return(mapper: Mapper, match: LoopMatch) -> None:
     """Add a match of the last keyframe with a known place, which the estimate agrees with, to the graph.
 
     Its scans have been matched with this place, too, but only where no wall is known, and together with those just
-    before them, so that drift along a corridor remains. Takes effect with the graph's next update.
+    before them, so that drift along a corridor remains. A match that has points in common with the last one in the
+    graph is left out: their errors are the same. Takes effect with the graph's next update.
     """
+    last = mapper.graph.last_submap_match()
+    if last is not None and match.travelled - mapper.travelled[last] < SUBMAP_LENGTH:
+        return
     mapper.graph.add_submap_match(match.old, match.keyframe, match.relative, match.covariance)
 
 
