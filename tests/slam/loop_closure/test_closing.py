@@ -151,6 +151,22 @@ def test_returns_correct_drift_where_no_landmark_holds_the_robot() -> None:
     assert np.hypot(*(mapper.pose - INSIDE)[:2]) < 0.03
 
 
+def test_returns_that_share_points_are_added_once() -> None:
+    """The points of a look are those of the last 6 m."""
+    mapper, pose = Mapper(), INSIDE
+    observe(mapper, pose, np.zeros(3), ROOM[:0], None)
+    counts = []
+    for _ in range(8):
+        motion = np.array([2.0, 0.0, 0.0])
+        pose = se2.compose(pose, motion)
+        observe(mapper, pose, motion, ROOM[:0], None)
+        add_return(mapper, match_with_start(mapper, se2.between(INSIDE, pose)))
+        mapper.graph.update()
+        factors = mapper.graph.solver.factors.values()
+        counts.append(sum(factor.kind is FactorKind.SUBMAP_MATCH for factor in factors))
+    assert counts == [1, 1, 1, 2, 2, 2, 3, 3]
+
+
 def test_returns_do_not_hold_a_pass_that_a_closure_moves() -> None:
     """Looks may agree with a wrong estimate where rooms are alike; what they tied is removed with the walls."""
     mapper, _, _ = drifted_mapper(np.array([15.0, -1.0, 0.2]))
