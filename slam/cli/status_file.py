@@ -81,6 +81,10 @@ class StatusFile:
         self._values["failure"] = failure
         self._try_to_write(running=False)
 
+    def finish(self) -> None:
+        """Write the final numbers after the map was saved: scans that waited for odometry are mapped at the end."""
+        self._try_to_write(running=False)
+
     def _take(self, snapshot: Snapshot) -> None:
         devices = [
             {"spec": one.spec, "state": one.state.value, "problem": one.problem, "faults": format_faults(one.counters)}

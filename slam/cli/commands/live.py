@@ -110,6 +110,8 @@ def live(
         live_input = LiveInput(specs, record, duration, driving, controls, status_file)
         results = {"overwrite": overwrite, "review": review, "picture": plot, "refine": refine}
         result = run_slam(live_input, setup, out, **results, controls=controls)
+        if status_file is not None:
+            status_file.finish()
     typer.echo("\n".join(format_summary(result, out)))
     if live_input.failure is not None:
         raise live_input.failure

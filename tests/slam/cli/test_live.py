@@ -31,7 +31,7 @@ from slam.cli.console import EXIT_USER_ERROR
 from slam.errors import OutputError
 from slam.evaluation.metrics import score_reference
 from slam.events import Notice, ScanTracked, StateChanged
-from slam.io.output_dir import PICTURE, RESULTS, REVIEW, TRAJECTORY
+from slam.io.output_dir import PICTURE, RESULTS, REVIEW, SUMMARY, TRAJECTORY
 from slam.io.tum import read_tum
 from slam.visualisation.rerun_log import ViewerServer
 
@@ -169,6 +169,7 @@ def test_the_status_file_shows_the_run(live_session: LiveSession) -> None:
     assert (during["running"], after["running"], after["failure"]) == (True, False, "")
     assert [device["state"] for device in during["devices"]] == ["running", "running"]
     assert (after["scans"], after["map"]["walls"] > 10) == (live_session.run.summary["scans"], True)
+    assert after["saved"] == (live_session.run.out / SUMMARY).stat().st_mtime
     assert len(after["pose"]) == 3
     assert after["recording"] == {"seconds": pytest.approx(DURATION, abs=30.0), "problem": ""}
     assert after["free_disk"] > 0.0
