@@ -35,7 +35,9 @@ class ExtractedScan:
         lines, mount = self.features.lines, self.mount
         segments = segments_from_lines(lines, mount)
         corners = corner_points(self.features.corners, segments, mount)
-        segments, corners = add_motion_uncertainty(segments, corners, lines, self.deskewed, model)
+        segments, corners = add_motion_uncertainty(
+            segments, corners, lines, self.deskewed, model, self.features.noise, mount
+        )
         return ScanFeatures(segments, corners, _points(self.deskewed, mount))
 
     def moved_to(self, reference: DeskewedScan, model: OdometryModel) -> ExtractedScan:

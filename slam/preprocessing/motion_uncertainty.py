@@ -1,84 +1,180 @@
 """Uncertainty of odometry's motion during a sweep, added to the covariances of the scan's segments and corners.
 
-A sweep is corrected with odometry's motion. The random error of that motion is common to neighbouring beams, so it does
-not average out over a wall. At a beam, S metres of travel from the middle of the sweep and negative before it, it is
-like an error of the robot's pose. The error of the heading is a random walk w with the variance q per metre in both
-directions. The reference of the sweep is the middle of a parabola that is fitted to odometry from -l to l (see
-`deskew`), so the middle of that fitted to w is subtracted. The error of the position is proportional to S. Segments i
-and j share the covariance of these errors,
+A sweep is corrected with odometry's motion, whose random error is common to neighbouring beams: it does not average out
+over a wall, and it bends the wall. At a beam, s metres of travel from the middle of the sweep and negative before it,
+it is like an error of the robot's pose. The error of the position is s b with b ~ N(0, t I). That of the heading is a
+random walk w with the variance q per metre in both directions. The reference of the sweep is the middle of a parabola
+that is fitted to odometry from -l to l (see `deskew`), so the middle of that fitted to w is subtracted:
 
-    K_ij = diag(t S_i S_j, t S_i S_j, q k_ij)
-    k_ij = m_ij - c_i - c_j + 9/112 l
-    c_i  = l (x / 2 - 9/16 x^2 + 5/32 x^4),  x = min(|S_i| / l, 1)
+    e(s) = w(s) - int p(|u| / l) dw(u),    p(x) = (4 - 9 x + 5 x^3) / 8 for x < 1, else 0
 
-where m_ij, the covariance of w at both beams, is min(|S_i|, |S_j|) if they are on the same side of the middle, else
-zero; c_i is that of w_i with the middle of the parabola, and 9/112 l is the variance of the latter.
+The offset d and the heading h of a segment are sums over the distances of its beams from the line, with the gains g_k
+of the weighted fit. Beam k ends at p_k, x_k along the line from its middle. With the directions t along and n across
+the line, the motion moves it across the line by e(s_k) t'p_k + s_k n'b:
 
-Segments enter the estimate as independent, with the covariances D_i + a J_i K_ii J_i' instead: D_i is that of the
-sensor noise and J_i the derivative by the pose. The factor a is chosen such that the covariance that this implies for
-the robot's pose is that of the same estimate with the true K: with the information I_i of each segment and H their sum,
+    [d, h] = sum_k g_k (e(s_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
 
-    a = tr(H^-1 sum_ij I_i K_ij I_j) / tr(H^-1 sum_i I_i K_ii I_i)
+This is linear in b and in the steps of the random walk, of which there are some on either side of the middle. With the
+responses R_i (2, m) of segment i to one standard deviation of each, segments i and j share the covariance
+
+    K_ij = R_i R_j'
+
+Segments enter the estimate as independent, with the covariances D_i + a K_ii instead: D_i is that of the sensor noise.
+The factor a is chosen such that the covariance that this implies for the robot's pose is that of the same estimate with
+the true K: with the weights W_i of each segment, the derivatives J_i by the pose, and H = sum_i J_i' W_i J_i,
+
+    a = tr(H^-1 sum_ij J_i' W_i K_ij W_j J_j) / tr(H^-1 sum_i J_i' W_i K_ii W_i J_i)
 
 It is at least one: so large is the error of a single segment.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drivers import se2
 from drivers.compiled import compiled
 
+from ..geometry.line_segments import MIN_WALL_DISTANCE
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import inverse
-from ..odometry.error_model import PARABOLA_VARIANCE, OdometryModel
+from ..odometry.error_model import OdometryModel
 from .deskew import DeskewedScan
 
 if TYPE_CHECKING:
-    from features.types import Lines
+    from features.types import Lines, Noise
 
+# Steps of the random walk from the middle of a sweep to either end. Origin: numerical, covariances change by less than
+# a hundredth with more.
+STEPS = 16
 # Iterations of the factor, which the information of the segments depends on. Origin: numerical, it changes by less than
 # a hundredth after that.
 ITERATIONS = 5
 # Information of a pose that is added for conditioning: standard deviations of a kilometre. Origin: numerical.
 CONDITIONING = 1e-6
+# Sine of the least angle between a beam and a wall, and least determinant of the fit of a line, for conditioning.
+# Origin: numerical.
+MIN_SINE = 1e-6
+SMALLEST = float(np.finfo(float).tiny)
 
 
 def add_motion_uncertainty(
-    segments: Segments, corners: CornerPoints, lines: Lines, scan: DeskewedScan, model: OdometryModel
+    segments: Segments,
+    corners: CornerPoints,
+    lines: Lines,
+    scan: DeskewedScan,
+    model: OdometryModel,
+    noise: Noise,
+    mount: se2.Pose,
 ) -> tuple[Segments, CornerPoints]:
     """Add odometry's uncertainty during the sweep to the covariances of segments and corners; see the module.
 
     segments, corners  of the scan, in the base's frame
     lines              from which the segments were made, in the same order
+    noise              of a ray, from which the weights of the fit follow
+    mount              pose of the lidar in the base's frame
     """
     if not len(segments) or not scan.travel.any():
         return segments, corners
-    travel = _travel_from_the_middle(lines, scan)
-    translation, rotation = model.variances(np.ones(()))  # after one metre
-    jacobians = _pose_jacobians(segments)
-    headings = _heading_covariances(travel, scan.fitted)
-    inflation = _variance_inflation(
-        segments.covariance, jacobians, travel, headings, float(translation), float(rotation)
-    )
-    of_position, of_heading = inflation * translation * travel**2, inflation * rotation * np.diag(headings)
-    variances = np.column_stack([of_position, of_position, of_heading])
-    covariance = segments.covariance + (jacobians * variances[:, None, :]) @ jacobians.transpose(0, 2, 1)
-    shift, turn = (v[corners.segments].mean(axis=1)[:, None, None] for v in (of_position, of_heading))
-    levers = np.column_stack([-corners.position[:, 1], corners.position[:, 0]])
-    turning = turn * levers[:, :, None] * levers[:, None, :]
-    return replace(segments, covariance=covariance), replace(
-        corners, covariance=corners.covariance + shift * np.eye(2) + turning
+    responses = _segment_responses(segments, lines, scan, model, noise, mount)
+    motion = responses @ responses.transpose(0, 2, 1)
+    inflation = _variance_inflation(segments.covariance, _pose_jacobians(segments), motion, responses)
+    of_corners = _corner_responses(segments, corners, responses)
+    return replace(segments, covariance=segments.covariance + inflation * motion), replace(
+        corners, covariance=corners.covariance + inflation * of_corners @ of_corners.transpose(0, 2, 1)
     )
 
 
-def _travel_from_the_middle(lines: Lines, scan: DeskewedScan) -> Floats:
-    """Return (n,) the metres of travel of each line's middle beam from the middle of the sweep, negative before it."""
-    beams = np.where(lines.last >= lines.first, (lines.first + lines.last) // 2, 0)
-    return np.where(beams < int(np.argmin(scan.travel)), -1.0, 1.0) * scan.travel[beams]
+def _segment_responses(
+    segments: Segments, lines: Lines, scan: DeskewedScan, model: OdometryModel, noise: Noise, mount: se2.Pose
+) -> Floats:
+    """Return (n, 2, 2 STEPS + 2) the changes of offset and heading by one standard deviation of each error."""
+    translation, rotation = (float(variance) for variance in model.variances(np.ones(())))  # after one metre
+    reach = max(float(scan.travel.max()), scan.fitted)
+    before = np.arange(len(scan.travel)) < int(np.argmin(scan.travel))
+    turns, shifts = _unit_responses(
+        segments.frame,
+        segments.half_length,
+        lines.first,
+        lines.last,
+        scan.bearings,
+        np.where(before, -scan.travel, scan.travel),
+        tuple(mount.tolist()),
+        (noise.sigma_range**2, noise.sigma_bearing**2),
+        reach,
+        scan.fitted,
+    )
+    across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
+    moved = math.sqrt(translation) * shifts[:, :, None] * across[:, None, :]
+    return np.concatenate([math.sqrt(rotation * reach / STEPS) * turns, moved], axis=2)
+
+
+@compiled
+def _unit_responses(frames, half_lengths, first, last, bearings, travel, mount, variances, reach, fitted):  # type: ignore[no-untyped-def]
+    """Return what each step of the heading (n, 2, 2 STEPS), and n'b (n, 2), change in offset and heading of a segment.
+
+    All beams from the `first` to the `last` one of a segment count as beams on it.
+
+    frames     (n, 3) of the segments in the base's frame
+    travel     (p,) metres from the middle of the sweep, negative before it
+    variances  of range and bearing of a ray
+    reach      metres from the middle that the steps cover on either side
+    fitted     metres from there to either end of the interval that the reference is fitted to
+    """
+    turns, shifts = np.zeros((len(frames), 2, 2 * STEPS)), np.zeros((len(frames), 2))
+    count, width = len(bearings), reach / STEPS
+    weights, places = np.empty(count), np.empty(count)
+    for i in range(len(frames)):
+        lever = math.cos(frames[i, 2]) * frames[i, 0] + math.sin(frames[i, 2]) * frames[i, 1]
+        beams = (last[i] - first[i]) % count + 1
+        total = one = two = 0.0
+        for b in range(beams):
+            bearing = bearings[(first[i] + b) % count]
+            weights[b], places[b] = _weight_and_place(frames[i], half_lengths[i], bearing, mount, variances)
+            total, one, two = total + weights[b], one + weights[b] * places[b], two + weights[b] * places[b] ** 2
+        determinant = max(total * two - one * one, SMALLEST)
+        for b in range(beams):
+            s, arm = travel[(first[i] + b) % count], places[b] + lever
+            offset = weights[b] * (two - one * places[b]) / determinant
+            heading = weights[b] * (total * places[b] - one) / determinant
+            shifts[i, 0], shifts[i, 1] = shifts[i, 0] + offset * s, shifts[i, 1] + heading * s
+            side, passed = (0 if s < 0.0 else STEPS), min(abs(s) / width, float(STEPS))
+            for step in range(math.ceil(passed)):
+                share = min(passed - step, 1.0) * arm
+                turns[i, 0, side + step] += share * offset
+                turns[i, 1, side + step] += share * heading
+        for step in range(STEPS):
+            of_fit = _share_in_fit((step + 0.5) * width, fitted)
+            for side in (0, STEPS):
+                turns[i, 0, side + step] -= of_fit * lever
+                turns[i, 1, side + step] -= of_fit
+    return turns, shifts
+
+
+@compiled
+def _weight_and_place(frame, half_length, bearing, mount, variances):  # type: ignore[no-untyped-def]
+    """Return the weight of a beam in the fit of a line, and where it meets it, metres along it from its middle."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    x, y = mount[0] - frame[0], mount[1] - frame[1]
+    start, distance = c * x + s * y, max(abs(c * y - s * x), MIN_WALL_DISTANCE)
+    angle = mount[2] + bearing - frame[2]
+    place = start + distance * math.cos(angle) / max(abs(math.sin(angle)), MIN_SINE)
+    place = min(max(place, -half_length), half_length)
+    square, along = distance**2, (place - start) ** 2
+    return 1.0 / (variances[0] * square / (square + along) + variances[1] * along), place
+
+
+@compiled
+def _share_in_fit(travel, fitted):  # type: ignore[no-untyped-def]
+    """Return p of the module's documentation: the part of a step of the random walk in the middle of the parabola."""
+    if travel >= fitted:
+        return 0.0
+    part = travel / fitted
+    return (4.0 - 9.0 * part + 5.0 * part**3) / 8.0
 
 
 def _pose_jacobians(segments: Segments) -> Floats:
@@ -94,90 +190,57 @@ def _pose_jacobians(segments: Segments) -> Floats:
 
 
 @compiled
-def _heading_covariances(travel, fitted):  # type: ignore[no-untyped-def]
-    """Return (n, n) the covariances of the heading errors, divided by the variance per metre; see the module.
-
-    travel  (n,) metres from the middle of the sweep, negative before it
-    fitted  metres from there to either end of the interval that the reference is fitted to
-    """
-    count = len(travel)
-    result, with_fit = np.empty((count, count)), np.zeros(count)
-    for i in range(count):
-        if fitted > 0.0:
-            x = min(abs(travel[i]) / fitted, 1.0)
-            with_fit[i] = fitted * (x / 2.0 - 9.0 / 16.0 * x**2 + 5.0 / 32.0 * x**4)
-    for i in range(count):
-        for j in range(count):
-            shared = min(abs(travel[i]), abs(travel[j])) if travel[i] * travel[j] > 0.0 else 0.0
-            result[i, j] = shared - with_fit[i] - with_fit[j] + PARABOLA_VARIANCE * fitted
-    return result
-
-
-@compiled
-def _variance_inflation(covariances, jacobians, travel, headings, translation, rotation):  # type: ignore[no-untyped-def]
+def _variance_inflation(covariances, jacobians, motion, responses):  # type: ignore[no-untyped-def]
     """Return the variance inflation factor a of the module's documentation.
 
     covariances  (n, 2, 2) of the segments without the motion
     jacobians    (n, 2, 3) by the pose
-    travel       (n,) metres from the middle of the sweep, negative before it
-    headings     (n, n) covariances of the heading errors, in units of `rotation`
-    translation, rotation  variances of position and heading after one metre of travel
+    motion       (n, 2, 2) K_ii
+    responses    (n, 2, m) R_i
     """
-    inflation, information = 1.0, np.zeros((len(travel), 3, 3))
-    own = np.diag(headings).copy()
+    inflation = 1.0
     for _ in range(ITERATIONS):
-        _set_information(
-            information, covariances, jacobians, travel, own, inflation * translation, inflation * rotation
-        )
-        correlated, separate = _implied_by_motion(information, travel, headings, translation, rotation)
-        covariance = inverse(information.sum(axis=0) + CONDITIONING * np.eye(3))
+        information, separate, correlated = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+        together = np.zeros((3, responses.shape[2]))
+        for i in range(len(covariances)):
+            gain = _gain(covariances[i] + inflation * motion[i], jacobians[i])
+            for k in range(3):
+                for m in range(3):
+                    information[k, m] += gain[k, 0] * jacobians[i, 0, m] + gain[k, 1] * jacobians[i, 1, m]
+                    of_offset = gain[k, 0] * motion[i, 0, 0] + gain[k, 1] * motion[i, 1, 0]
+                    of_heading = gain[k, 0] * motion[i, 0, 1] + gain[k, 1] * motion[i, 1, 1]
+                    separate[k, m] += of_offset * gain[m, 0] + of_heading * gain[m, 1]
+                for m in range(responses.shape[2]):
+                    together[k, m] += gain[k, 0] * responses[i, 0, m] + gain[k, 1] * responses[i, 1, m]
+        covariance = inverse(information + CONDITIONING * np.eye(3))
         implied = (covariance * separate).sum()  # the trace of the product, as both are symmetric
         if implied <= 0.0:
             return 1.0
+        for k in range(3):
+            for m in range(3):
+                correlated[k, m] = (together[k] * together[m]).sum()
         inflation = max(1.0, (covariance * correlated).sum() / implied)
     return inflation
 
 
 @compiled
-def _set_information(information, covariances, jacobians, travel, own_heading, translation, rotation):  # type: ignore[no-untyped-def]
-    """Set the information (n, 3, 3) of the pose from each segment, with the variances of the motion.
-
-    In scalars, as products of small matrices take most of their time for allocating memory.
-    """
-    for i in range(len(travel)):
-        own, x, y, lever = covariances[i], jacobians[i, 0, 0], jacobians[i, 0, 1], jacobians[i, 0, 2]
-        position, heading = translation * travel[i] ** 2, rotation * own_heading[i]
-        across = own[0, 0] + position + heading * lever * lever
-        both, turn = own[0, 1] + heading * lever, own[1, 1] + heading
-        determinant = across * turn - both * both
-        w_across, w_both, w_turn = turn / determinant, -both / determinant, across / determinant
-        along = w_across * lever + w_both
-        result = information[i]
-        result[0, 0], result[0, 1], result[1, 1] = w_across * x * x, w_across * x * y, w_across * y * y
-        result[0, 2], result[1, 2] = along * x, along * y
-        result[2, 2] = w_across * lever * lever + 2.0 * w_both * lever + w_turn
-        result[1, 0], result[2, 0], result[2, 1] = result[0, 1], result[0, 2], result[1, 2]
-
-
-@compiled
-def _implied_by_motion(information, travel, headings, translation, rotation):  # type: ignore[no-untyped-def]
-    """Return the sums (3, 3) over I_i K_ij I_j: for all pairs of segments, and for i = j only."""
-    count = len(travel)
-    correlated, separate, shifts, turns = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 2)), np.zeros(3)
-    for i in range(count):
-        turns[:] = 0.0
-        for j in range(count):
-            for k in range(3):
-                turns[k] += rotation * headings[i, j] * information[j, k, 2]
-        for k in range(3):
-            shifts[k, 0] += travel[i] * information[i, k, 0]
-            shifts[k, 1] += travel[i] * information[i, k, 1]
-            for m in range(3):
-                correlated[k, m] += information[i, k, 2] * turns[m]
-                separate[k, m] += rotation * headings[i, i] * information[i, k, 2] * information[i, m, 2]
-                of_position = information[i, k, 0] * information[i, m, 0] + information[i, k, 1] * information[i, m, 1]
-                separate[k, m] += translation * travel[i] ** 2 * of_position
+def _gain(covariance, jacobian):  # type: ignore[no-untyped-def]
+    """Return J' W (3, 2) of a segment with the covariance W^-1 (2, 2), and the derivatives J (2, 3) by the pose."""
+    both = covariance[0, 1]
+    determinant = covariance[0, 0] * covariance[1, 1] - both * both
+    gain = np.empty((3, 2))
     for k in range(3):
-        for m in range(3):
-            correlated[k, m] += translation * (shifts[k, 0] * shifts[m, 0] + shifts[k, 1] * shifts[m, 1])
-    return correlated, separate
+        offset, heading = jacobian[0, k], jacobian[1, k]
+        gain[k, 0] = (covariance[1, 1] * offset - both * heading) / determinant
+        gain[k, 1] = (covariance[0, 0] * heading - both * offset) / determinant
+    return gain
+
+
+def _corner_responses(segments: Segments, corners: CornerPoints, responses: Floats) -> Floats:
+    """Return (c, 2, m) the changes of corners, where two lines intersect, by the responses (n, 2, m) of the lines."""
+    frames = segments.frame[corners.segments]  # (c, 2, 3)
+    along = np.stack([np.cos(frames[..., 2]), np.sin(frames[..., 2])], axis=-1)
+    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
+    places = np.sum(along * (corners.position[:, None] - frames[..., :2]), axis=-1)
+    of_lines = responses[corners.segments]  # (c, 2, 2, m)
+    return np.asarray(np.linalg.inv(across) @ (of_lines[:, :, 0] + places[..., None] * of_lines[:, :, 1]))
