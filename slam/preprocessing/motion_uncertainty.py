@@ -130,7 +130,7 @@ def _unit_responses(frames, half_lengths, first, last, bearings, travel, mount, 
     weights, places = np.empty(count), np.empty(count)
     for i in range(len(frames)):
         lever = math.cos(frames[i, 2]) * frames[i, 0] + math.sin(frames[i, 2]) * frames[i, 1]
-        beams = (last[i] - first[i]) % count + 1
+        beams, whole = (last[i] - first[i]) % count + 1, np.zeros((2 * STEPS, 2))  # of beams by the step they end in
         total = one = two = 0.0
         for b in range(beams):
             bearing = bearings[(first[i] + b) % count]
@@ -142,17 +142,33 @@ def _unit_responses(frames, half_lengths, first, last, bearings, travel, mount, 
             offset = weights[b] * (two - one * places[b]) / determinant
             heading = weights[b] * (total * places[b] - one) / determinant
             shifts[i, 0], shifts[i, 1] = shifts[i, 0] + offset * s, shifts[i, 1] + heading * s
-            side, passed = (0 if s < 0.0 else STEPS), min(abs(s) / width, float(STEPS))
-            for step in range(math.ceil(passed)):
-                share = min(passed - step, 1.0) * arm
-                turns[i, 0, side + step] += share * offset
-                turns[i, 1, side + step] += share * heading
+            passed = abs(s) / width
+            step = min(int(passed), STEPS - 1)
+            column = step if s < 0.0 else STEPS + step
+            whole[column, 0], whole[column, 1] = whole[column, 0] + offset * arm, whole[column, 1] + heading * arm
+            turns[i, 0, column] += (passed - step) * offset * arm
+            turns[i, 1, column] += (passed - step) * heading * arm
+        _add_whole_steps(turns[i], whole)
         for step in range(STEPS):
             of_fit = _share_in_fit((step + 0.5) * width, fitted)
             for side in (0, STEPS):
                 turns[i, 0, side + step] -= of_fit * lever
                 turns[i, 1, side + step] -= of_fit
     return turns, shifts
+
+
+@compiled
+def _add_whole_steps(turns, whole):  # type: ignore[no-untyped-def]
+    """Add, to the responses (2, 2 STEPS) of a segment to each step, those of the beams that end in later steps.
+
+    whole  (2 STEPS, 2) sums over the beams that end in each step, as if they had the whole step
+    """
+    for side in (0, STEPS):
+        offset = heading = 0.0
+        for step in range(STEPS - 1, -1, -1):
+            turns[0, side + step] += offset
+            turns[1, side + step] += heading
+            offset, heading = offset + whole[side + step, 0], heading + whole[side + step, 1]
 
 
 @compiled
