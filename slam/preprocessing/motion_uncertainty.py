@@ -83,9 +83,9 @@ def add_motion_uncertainty(
     responses = _segment_responses(segments, lines, scan, model, noise, mount)
     motion = responses @ responses.transpose(0, 2, 1)
     inflation = _variance_inflation(segments.covariance, _pose_jacobians(segments), motion, responses)
-    of_corners = _corner_responses(segments, corners, responses)
+    of_corners = _corner_covariances(segments.frame, corners.position, corners.segments, responses)
     return replace(segments, covariance=segments.covariance + inflation * motion), replace(
-        corners, covariance=corners.covariance + inflation * of_corners @ of_corners.transpose(0, 2, 1)
+        corners, covariance=corners.covariance + inflation * of_corners
     )
 
 
@@ -252,11 +252,33 @@ def _gain(covariance, jacobian):  # type: ignore[no-untyped-def]
     return gain
 
 
-def _corner_responses(segments: Segments, corners: CornerPoints, responses: Floats) -> Floats:
-    """Return (c, 2, m) the changes of corners, where two lines intersect, by the responses (n, 2, m) of the lines."""
-    frames = segments.frame[corners.segments]  # (c, 2, 3)
-    along = np.stack([np.cos(frames[..., 2]), np.sin(frames[..., 2])], axis=-1)
-    across = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    places = np.sum(along * (corners.position[:, None] - frames[..., :2]), axis=-1)
-    of_lines = responses[corners.segments]  # (c, 2, 2, m)
-    return np.asarray(np.linalg.inv(across) @ (of_lines[:, :, 0] + places[..., None] * of_lines[:, :, 1]))
+@compiled
+def _corner_covariances(frames, positions, pairs, responses):  # type: ignore[no-untyped-def]
+    """Return (c, 2, 2) the covariances of corners, where two lines intersect, by the responses (n, 2, m) of the lines.
+
+    frames     (n, 3) of the segments
+    positions  (c, 2) of the corners
+    pairs      (c, 2) their segments
+    """
+    result = np.zeros((len(positions), 2, 2))
+    for k in range(len(positions)):
+        i, j = pairs[k]
+        first_x, first_y, first_place = _line_at(frames[i], positions[k])
+        second_x, second_y, second_place = _line_at(frames[j], positions[k])
+        determinant = first_x * second_y - first_y * second_x
+        for m in range(responses.shape[2]):
+            first = (responses[i, 0, m] + first_place * responses[i, 1, m]) / determinant
+            second = (responses[j, 0, m] + second_place * responses[j, 1, m]) / determinant
+            x, y = second_y * first - first_y * second, first_x * second - second_x * first
+            result[k, 0, 0] += x * x
+            result[k, 0, 1] += x * y
+            result[k, 1, 1] += y * y
+        result[k, 1, 0] = result[k, 0, 1]
+    return result
+
+
+@compiled
+def _line_at(frame, position):  # type: ignore[no-untyped-def]
+    """Return the direction across a line, and the place on it, metres along from its middle, of a position on it."""
+    c, s = math.cos(frame[2]), math.sin(frame[2])
+    return -s, c, c * (position[0] - frame[0]) + s * (position[1] - frame[1])
