@@ -94,5 +94,11 @@ CONDITIONS: dict[str, Condition] = {
     "columns": Condition("a hall with round columns", _named("columns")),
     "boxes": Condition("two rooms with 16 boxes, others for each seed", _drawn(room_with_boxes)),
     "buildings": Condition("another building for each seed", _drawn(random_building)),
+    "worn-buildings": Condition(
+        "the same, worn wheels and a lidar with a range of 6 m",
+        _drawn(random_building),
+        LIDAR_MODELS["short"],
+        WHEEL_MODELS["bad"],
+    ),
 }
 """Conditions by name."""
