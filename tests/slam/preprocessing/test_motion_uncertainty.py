@@ -15,6 +15,7 @@ from slam.preprocessing.motion_uncertainty import add_motion_uncertainty
 BEAMS = 400
 END = 0.04
 """Metres of travel from the middle of the sweep to either end."""
+SWEEPS = 3000
 MODEL = OdometryModel(OdometryConfig(translation_error=0.02, rotation_walk=0.01))
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
 
@@ -33,12 +34,11 @@ def test_pose_estimates_have_the_covariance_that_independent_segments_imply(
     jacobians = pose_jacobians(segments)
     weights = np.linalg.inv(claimed)
     normal = np.einsum("nki,nkl,nlj->ij", jacobians, weights, jacobians)
-    errors = []
-    for _ in range(3000):
-        motion = motion_errors(random, travel, fitted)[beams]
-        noise = sigma * random.standard_normal((count, 2))
-        measured = np.einsum("nki,ni->nk", jacobians, motion) + noise
-        errors.append(np.linalg.solve(normal, np.einsum("nki,nkl,nl->i", jacobians, weights, measured)))
+    motions = motion_errors(random, travel, fitted, SWEEPS)[:, beams]
+    noise = sigma * random.standard_normal((SWEEPS, count, 2))
+    measured = np.einsum("nki,mni->mnk", jacobians, motions) + noise
+    gradients = np.einsum("nki,nkl,mnl->mi", jacobians, weights, measured, optimize=True)
+    errors = np.linalg.solve(normal, gradients.T).T
     nees = np.einsum("ni,ij,nj->n", errors, normal, errors).mean() / 3
     assert 0.85 < nees < 1.15
 
@@ -76,16 +76,20 @@ def pose_jacobians(segments: Segments) -> np.ndarray:
     return np.stack([np.column_stack([across, lever]), np.column_stack([zero, zero, zero + 1.0])], axis=1)
 
 
-def motion_errors(random: np.random.Generator, travel: np.ndarray, fitted: float) -> np.ndarray:
-    """Return (p, 3) errors of position and heading at beams: proportional to travel, and a random walk both ways.
+def motion_errors(random: np.random.Generator, travel: np.ndarray, fitted: float, count: int) -> np.ndarray:
+    """Return (m, p, 3) errors of position and heading at beams of `count` sweeps: proportional to travel, and a random
+    walk both ways.
 
     They are relative to the middle of a parabola fitted within `fitted` metres from the middle; if that is zero, to the
     middle itself.
     """
     translation, rotation = MODEL.variances(np.ones(()))
     step = np.diff(travel).mean()
-    walk = np.cumsum(np.sqrt(rotation * step) * random.standard_normal(len(travel)))
+    walks = np.cumsum(np.sqrt(rotation * step) * random.standard_normal((count, len(travel))), axis=1)
     inside = np.abs(travel) <= fitted
-    walk -= np.polyfit(travel[inside], walk[inside], 2)[-1] if fitted else np.interp(0.0, travel, walk)
-    position = np.sqrt(translation) * random.standard_normal(2) * travel[:, None]
-    return np.column_stack([position, walk])
+    if fitted:
+        middles = np.polyfit(travel[inside], walks[:, inside].T, 2)[-1]
+    else:
+        middles = np.array([np.interp(0.0, travel, walk) for walk in walks])
+    positions = np.sqrt(translation) * random.standard_normal((count, 1, 2)) * travel[:, None]
+    return np.concatenate([positions, (walks - middles[:, None])[..., None]], axis=2)
