@@ -53,6 +53,15 @@ def command_line_is_built_once() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True, scope="session")
+def code_stays_in_memory() -> Iterator[None]:
+    """Do not return the code of imported libraries to the system at each run: the next test needs it again."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in ("slam_run", "run_writer"):
+            patch.setattr(f"slam.cli.{module}.return_code_of_imports", lambda: None)
+        yield
+
+
+@pytest.fixture(autouse=True, scope="session")
 def scans_are_matched_once() -> Iterator[None]:
     """Keep the matches of scans from which the timing of a recording is estimated: most of the time that it takes to
     open one, and many tests open the same ones again.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..messages import Floats, Message, Odometry
@@ -27,14 +29,16 @@ class OdometrySpeed:
         x, y, _ = message.pose.tolist()
         if self._last is not None:
             stamp, last_x, last_y = self._last
-            self._count(np.array([message.stamp - stamp]), np.array([[x - last_x, y - last_y]]))
+            self._count(message.stamp - stamp, math.hypot(x - last_x, y - last_y))
         self._last = message.stamp, x, y
 
     @classmethod
     def of_path(cls, stamps: Floats, positions: Floats) -> OdometrySpeed:
         """Return the counts of a path: (n,) stamps, seconds, and (n, 2) positions."""
         speed = cls()
-        speed._count(np.diff(stamps), np.diff(positions, axis=0))
+        distances = np.hypot(*np.diff(positions, axis=0).T)
+        for elapsed, distance in zip(np.diff(stamps).tolist(), distances.tolist(), strict=True):
+            speed._count(elapsed, distance)
         return speed
 
     def describe(self) -> str | None:
@@ -43,7 +47,7 @@ class OdometrySpeed:
             return None
         return f"odometry is faster than {FASTEST:g} m/s wherever it moves, as if in millimetres or centimetres"
 
-    def _count(self, elapsed: Floats, steps: Floats) -> None:
-        distances = np.hypot(steps[:, 0], steps[:, 1])
-        self._moves += int(np.count_nonzero(distances > 0.0))
-        self._fast += int(np.count_nonzero(distances > FASTEST * np.maximum(elapsed, MIN_INTERVAL)))
+    def _count(self, elapsed: float, distance: float) -> None:
+        """Count a step of some seconds and metres."""
+        self._moves += distance > 0.0
+        self._fast += distance > FASTEST * max(elapsed, MIN_INTERVAL)

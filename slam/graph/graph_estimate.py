@@ -101,8 +101,8 @@ class GraphEstimate:
 
     def last_submap_match(self) -> int | None:
         """Return the last keyframe with a submap match, without those waiting for `update`; None if there is none."""
-        factors = self.solver.factors.values()
-        return max((factor.second for factor in factors if factor.kind is FactorKind.SUBMAP_MATCH), default=None)
+        latest_first = reversed(self.solver.factors.values())
+        return next((factor.second for factor in latest_first if factor.kind is FactorKind.SUBMAP_MATCH), None)
 
     def wall_observations(self) -> list[tuple[int, int]]:
         """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""

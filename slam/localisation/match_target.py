@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from drivers import se2
 
@@ -94,7 +95,7 @@ class MatchTarget:
 
         For `exhaustive` see `match_points`.
         """
-        points = _points_of(scan)
+        points = points_of(scan)
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
         prediction = match.prediction
         registration = register(
@@ -109,10 +110,11 @@ class MatchTarget:
 
     def contradict(self, scan: ScanFeatures, pose: se2.Pose) -> bool:
         """Return True if a considerable part of what a scan at a pose shows of known space does not fit."""
-        _, fit, known = point_cost(self.field, _points_of(scan), pose)
+        _, fit, known = point_cost(self.field, points_of(scan), pose)
         return known >= MIN_KNOWN_POINTS and fit < SEARCH_FIT
 
 
-def _points_of(scan: ScanFeatures) -> Floats:
-    """Return the points (p, 4) of a scan that are matched, with their normals."""
+@lru_cache(maxsize=1)  # a scan is matched with several fields in a row
+def points_of(scan: ScanFeatures) -> Floats:
+    """Return the points (p, 4) of a scan that are matched, with their normals; not to be changed."""
     return surface_points(scan.points.xy, scan.segments, POINT_SPACING)

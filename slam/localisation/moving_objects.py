@@ -22,9 +22,9 @@ from drivers.compiled import compiled
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..matching.line_matcher import ScanFeatures
 from ..matching.point_costs import COARSE_SIGMA, costs_of_points
-from ..matching.point_matcher import MIN_KNOWN_POINTS, POINT_SPACING, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..matching.scan_points import ScanPoints, segments_of, surface_points
-from .match_target import MatchTarget, ScanMatch
+from .match_target import MatchTarget, ScanMatch, points_of
 
 # Cost of an object having moved since it was mapped, a few metres before. Origin: chosen, one small object in five is
 # a person; not measured.
@@ -53,7 +53,7 @@ def match_without_moving(
     excess = match.points.prediction.cost_of(match.points.pose) - usual.least_cost
     if excess <= MOVED:
         return None
-    points = surface_points(scan.points.xy, scan.segments, POINT_SPACING)
+    points = points_of(scan)
     rows = np.asarray(_rows_before(points, scan.points.xy))
     objects = _objects(points, _on_walls(points, scan.segments))
     moving, cost = np.zeros(len(points), dtype=np.bool_), 0.0

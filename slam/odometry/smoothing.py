@@ -15,9 +15,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers import se2
 from drivers.compiled import compiled
 
+from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from .history import OdometryHistory, wheel_travel
 
@@ -49,15 +49,16 @@ def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> Floats:
     if len(times) < MIN_READINGS or not times[0] <= stamps[0] <= stamps[-1] <= times[-1]:
         return interpolated
     origin = readings[np.searchsorted(times, stamps[0]) - 1]
-    moves = se2.between(origin, readings)
-    moves[:, 2] = np.unwrap(moves[:, 2])
-    steps, duration = se2.between(readings[:-1], readings[1:]), times[-1] - times[0]
+    moves = between_each(origin[None], readings)
+    moves[:, 2] = unwrapped(moves[:, 2].copy())
+    steps, duration = between_each(readings[:-1], readings[1:]), times[-1] - times[0]
     stamp_error = odometry.stamp_error(float(stamps[0]))
     error = stamp_error * wheel_travel(steps).sum() / duration
     ratio = (error**2 + JITTER[0] ** 2) / ACCELERATION_DENSITY
-    smoothed = se2.compose(origin, _smoothed(times - stamps[0], moves, ratio, stamps - stamps[0]))
+    smoothed = compose_each(origin[None], _smoothed(times - stamps[0], moves, ratio, stamps - stamps[0]))
     limit = JITTER + MAX_DEVIATION * stamp_error * np.abs(steps).sum(axis=0) / duration
-    return se2.compose(interpolated, np.clip(se2.between(interpolated, smoothed), -limit, limit))
+    limited = np.clip(between_each(interpolated, smoothed), -limit, limit)
+    return np.asarray(compose_each(interpolated, limited))
 
 
 @compiled

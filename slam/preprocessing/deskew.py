@@ -15,6 +15,7 @@ from drivers import se2
 from drivers.messages import Scan
 
 from ..config import LidarConfig
+from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
@@ -92,7 +93,7 @@ def deskew(
     offsets = np.linspace(0.0, duration, 2 * half + 1)
     poses = smoothed_poses(odometry, scan.stamp + offsets)
     reference = poses[half]
-    moves = se2.between(reference, poses)
+    moves = between_each(reference[None], poses)
     travels = wheel_travel(moves)
     if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
         return DeskewedScan(middle, reference, ranges, scan.angles, np.zeros(len(ranges)))
@@ -102,9 +103,10 @@ def deskew(
     if model is not None:
         limit = FIT_DEVIATIONS * model.deviations_of_fit(fitted)
         error = np.clip(_fitted_middle(offsets[central] - 0.5 * duration, moves[central]), -limit, limit)
-        moves = model.correct(se2.between(error, moves))
-    lidars = se2.between(mount, se2.compose(moves, mount))
-    turned = scan.angles + np.interp(scan.time_offsets, offsets, np.unwrap(lidars[:, 2]))
+        moves = model.correct(between_each(error[None], moves))
+    at = np.array([mount])
+    lidars = between_each(at, compose_each(moves, at))
+    turned = scan.angles + np.interp(scan.time_offsets, offsets, unwrapped(lidars[:, 2].copy()))
     x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
     y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
     shift = se2.wrap(np.arctan2(y, x) - turned)

@@ -75,8 +75,8 @@ def wclm(*words: str) -> Result:
 
 
 @contextlib.contextmanager
-def simulations_of(seconds: float) -> Iterator[None]:
-    """Limit the duration of simulations and the number of their beams."""
+def simulations_of(seconds: float, scanner: simulation.LidarModel = FEW_BEAMS) -> Iterator[None]:
+    """Limit the duration of simulations, and let all have the same lidar."""
     whole = simulation.Simulation
 
     def short(
@@ -88,7 +88,7 @@ def simulations_of(seconds: float) -> Iterator[None]:
         *rest: Any,
         **more: Any,
     ) -> Any:
-        return whole(world, seed, min(duration or seconds, seconds), FEW_BEAMS, wheels, *rest, **more)
+        return whole(world, seed, min(duration or seconds, seconds), scanner, wheels, *rest, **more)
 
     with pytest.MonkeyPatch.context() as patch, replaced(simulation, "Simulation", short):
         patch.setenv("COLUMNS", "200")

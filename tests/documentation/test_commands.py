@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from drivers.devices.device_spec import parse_devices
 from slam.cli.app import app
 
 from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions
-from .conftest import HALL, Reader, fill, simulations_of
+from .conftest import FEW_BEAMS, HALL, Reader, fill, simulations_of
 
 PLACEHOLDERS = {"FILE", "FORMAT", "WORLD", "SESSION", "DIR", "RECORDING", "GRAPH"}
 OTHER_PROGRAMS = {
@@ -34,6 +35,8 @@ OF_SEVERAL_DRIVES = ("docs/changes.md", "docs/merge.md")
 """Pages with blocks that need recordings of two drives through one building."""
 LONGER = 18.0
 """Duration of drives that are to be recognised in maps of each other, seconds."""
+SLOW_LIDAR = replace(FEW_BEAMS, rate=5.0)
+"""Lidar of these drives: the robot moves by 0.2 m in a revolution."""
 command_line: Any = cache(get_command)
 MENTIONS = mentions()
 WITH_BLOCKS = sorted({block.page for block in blocks()})
@@ -125,7 +128,7 @@ def test_commands_of_the_readme_with_several_drives_run(tmp_path: Path, monkeypa
     """Run them with drives through one hall; `wclm batch`, which starts processes, has its own tests."""
     monkeypatch.chdir(tmp_path)
     (block,) = (block for block in blocks() if block.page == "README.md" and block.needs == "drives")
-    with simulations_of(LONGER):
+    with simulations_of(LONGER, SLOW_LIDAR):
         fill(tmp_path, HALL)
         reader = Reader(tmp_path)
         for line in (

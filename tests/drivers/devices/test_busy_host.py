@@ -8,6 +8,7 @@ import heapq
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -56,14 +57,20 @@ def clockless_lidar() -> tuple[LidarStream, float, Sent]:
 
 def clocked_lidar() -> tuple[LidarStream, float, Sent]:
     """Return a lidar stream with device time, on a clock that runs slow, its samples per second, and its bytes."""
+    scans = sent_by_clocked_lidar()
+    rate = ld06.LD06.sample_rate
+    return LidarStream(ld06.Ld06Decoder(), ld06.POINTS / rate, scans.size, (0.1, 40.0)), rate, scans
+
+
+@cache
+def sent_by_clocked_lidar() -> Sent:
     rate, size = ld06.LD06.sample_rate, ld06.LAYOUT.itemsize
     data, samples = b"", np.arange(int(SECONDS * rate)).reshape(-1, ld06.POINTS)
     for row in samples:
         bearings = 2 * np.pi * TURNS / rate * row[None, [0, -1]]
         ranges, bright = 1.0 + row[None] % RANGE_PERIOD / 1e3, np.full((1, ld06.POINTS), 200)
         data += ld06.encode(bearings, ranges, bright, 2 * np.pi * TURNS, row[-1] / rate / 1.0001)
-    stream = LidarStream(ld06.Ld06Decoder(), ld06.POINTS / rate, size, (0.1, 40.0))
-    return stream, rate, Sent(data, size, START + samples[:, -1] / rate + size * 10 / ld06.LD06.baud)
+    return Sent(data, size, START + samples[:, -1] / rate + size * 10 / ld06.LD06.baud)
 
 
 def clockless_base() -> tuple[WheelBaseDevice, float, Sent]:

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from drivers.recordings.mcap import McapWriter
+from drivers.simulation import LidarModel, Simulation
 from slam.cli import viewer
 from slam.errors import MapError
 from slam.io.output_dir import CLOSURE_PICTURE, RESULTS
@@ -340,8 +342,9 @@ def test_a_viewer_that_cannot_be_started_is_a_one_line_message(capsys: pytest.Ca
 
 
 def test_calibrate_states_why_a_delay_is_not_compensated(wclm: Any, tmp_path: Path) -> None:
-    simulated = wclm("simulate", "office", "drive.mcap", "--duration", "25")
-    assert simulated.exit_code == 0, simulated.output
+    with McapWriter(Path("drive.mcap")) as writer:
+        for message in Simulation("office", duration=25.0, lidar=LidarModel(beams=360, rate=5.0)):
+            writer.write(message)
     result = wclm("calibrate", "drive.mcap")
     assert result.exit_code == 0, result.output
     assert "s of the lidar against odometry; not compensated: not significant" in result.stdout

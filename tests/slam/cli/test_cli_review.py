@@ -202,7 +202,7 @@ def test_a_truncated_log_opens_up_to_its_end(
 
 def test_the_log_of_a_killed_run_is_found_and_opens(wclm: Any, tmp_path: Path) -> None:
     out = tmp_path / "office"
-    with running("run", "sim:office", "--out", out) as process:
+    with running("run", "sim:office?lidar=short", "--out", out) as process:
         deadline = time.monotonic() + 200  # includes compilation
         while not any(log.stat().st_size > 1_500_000 for log in tmp_path.glob(f".office-*/{REVIEW}")):
             assert process.poll() is None, process.communicate()

@@ -129,17 +129,17 @@ def apply_change(state: Exact, change: np.ndarray) -> Exact:
 def residuals(state: Exact, world: World, prior: bool) -> np.ndarray:
     """Return all residuals in units of their standard deviations."""
 
-    def whitened(error: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-        return np.linalg.solve(np.linalg.cholesky(covariance), error)
+    def whitened(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+        return np.linalg.solve(np.linalg.cholesky(covariances), errors[..., None]).ravel()
 
     rows = [state.poses[0] / FIRST_POSE_SIGMAS] if prior else []
-    for k, motion in enumerate(world.motions):
-        rows.append(whitened(se2.between(motion, se2.between(state.poses[k], state.poses[k + 1])), ODOMETRY))
-    for k, j, frame, covariance in world.wall_observations:
-        wall = se2.between(se2.compose(state.poses[k], frame), state.walls[j])
-        rows.append(whitened(np.array([wall[1] - wall[0] * np.tan(wall[2]), wall[2]]), covariance))
-    for k, j, position, covariance in world.corner_observations:
-        rows.append(whitened(se2.transform(se2.inverse(state.poses[k]), state.corners[j]) - position, covariance))
+    steps = se2.between(world.motions, se2.between(state.poses[:-1], state.poses[1:]))
+    rows.append(whitened(steps, np.tile(ODOMETRY, (len(steps), 1, 1))))
+    k, j, frames, covariances = map(np.array, zip(*world.wall_observations, strict=True))
+    walls = se2.between(se2.compose(state.poses[k], frames), state.walls[j])
+    rows.append(whitened(np.column_stack([walls[:, 1] - walls[:, 0] * np.tan(walls[:, 2]), walls[:, 2]]), covariances))
+    k, j, positions, covariances = map(np.array, zip(*world.corner_observations, strict=True))
+    rows.append(whitened(se2.transform(se2.inverse(state.poses[k]), state.corners[j]) - positions, covariances))
     return np.concatenate(rows)
 
 

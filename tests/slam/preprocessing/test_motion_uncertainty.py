@@ -60,13 +60,14 @@ class Room:
         lines = SimpleNamespace(first=self.first, last=self.last)
         return add_motion_uncertainty(self.segments, corners, lines, sweep, MODEL, NOISE, MOUNT)  # type: ignore[arg-type]
 
-    def measured(self, motion: np.ndarray) -> np.ndarray:
-        """Return (n, 2) offset and heading of the lines fitted to beams with errors (p, 3) of the pose."""
+    def measured(self, motions: np.ndarray) -> np.ndarray:
+        """Return (r, n, 2) offset and heading of the lines fitted to beams with errors (r, p, 3) of the pose."""
         result = []
         for (beams, points), gain, frame in zip(self.points, self.gains, self.segments.frame, strict=True):
-            turned = motion[beams, 2:] * np.column_stack([-points[:, 1], points[:, 0]])
-            result.append(gain @ ((motion[beams, :2] + turned) @ [-np.sin(frame[2]), np.cos(frame[2])]))
-        return np.array(result)
+            turned = motions[:, beams, 2:] * np.column_stack([-points[:, 1], points[:, 0]])
+            distances = (motions[:, beams, :2] + turned) @ [-np.sin(frame[2]), np.cos(frame[2])]
+            result.append(distances @ gain.T)
+        return np.stack(result, axis=1)
 
 
 FULL_TURN = [0, 40, 100, 190, 270, 330, 420, 480, 560, 620, 690]
@@ -78,7 +79,7 @@ def test_each_segment_contains_how_the_motion_bends_it(fitted: float) -> None:
     random = np.random.default_rng(1)
     room = Room(random, FULL_TURN, 1e-6)
     claimed = room.claimed(fitted)[0].covariance
-    errors = np.array([room.measured(motion_errors(random, fitted)) for _ in range(DRAWS)])
+    errors = room.measured(motion_errors(random, fitted))
     nees = np.einsum("rni,nij,rnj->n", errors, np.linalg.inv(claimed), errors) / (2 * DRAWS)
     assert (nees < 1.1).all()  # at least as uncertain as its own error
     true = np.einsum("rni,rnj->nij", errors, errors) / DRAWS
@@ -93,10 +94,9 @@ def test_pose_estimates_have_the_covariance_that_independent_segments_imply(sigm
     room = Room(random, FULL_TURN, sigma)
     jacobians, weights = pose_jacobians(room.segments), np.linalg.inv(room.claimed(fitted)[0].covariance)
     normal = np.einsum("nki,nkl,nlj->ij", jacobians, weights, jacobians)
-    errors = []
-    for _ in range(DRAWS):
-        measured = room.measured(motion_errors(random, fitted)) + sigma * random.standard_normal((len(weights), 2))
-        errors.append(np.linalg.solve(normal, np.einsum("nki,nkl,nl->i", jacobians, weights, measured)))
+    measured = room.measured(motion_errors(random, fitted))
+    measured += sigma * random.standard_normal(measured.shape)
+    errors = np.linalg.solve(normal, np.einsum("nki,nkl,rnl->ir", jacobians, weights, measured)).T
     nees = np.einsum("ni,ij,nj->n", errors, normal, errors).mean() / 3
     cancels = fitted == END and sigma < 1e-3  # errors at both ends of the sweep; each segment has its own all the same
     assert (0.6 if cancels else 0.85) < nees < 1.15
@@ -112,7 +112,7 @@ def test_a_corner_moves_with_its_walls() -> None:
     corner = CornerPoints(position[None], np.zeros((1, 2, 2)), pair, np.zeros((1, 2)))
     segments, corners = room.claimed(0.0, corner)
     places = np.sum(along * (position - frames[:, :2]), axis=1)
-    lines = np.array([room.measured(motion_errors(random, 0.0))[[1, 2]] for _ in range(DRAWS)])
+    lines = room.measured(motion_errors(random, 0.0))[:, [1, 2]]
     moves = np.linalg.solve(across, (lines[..., 0] + places * lines[..., 1]).T).T
     of_corner = np.einsum("ri,ij,rj->", moves, np.linalg.inv(corners.covariance[0]), moves) / (2 * DRAWS)
     of_lines = np.einsum("rni,nij,rnj->n", lines, np.linalg.inv(segments.covariance[[1, 2]]), lines) / (2 * DRAWS)
@@ -128,15 +128,18 @@ def pose_jacobians(segments: Segments) -> np.ndarray:
 
 
 def motion_errors(random: np.random.Generator, fitted: float) -> np.ndarray:
-    """Return (p, 3) errors of position and heading at beams: proportional to travel, and a random walk both ways.
+    """Return (r, p, 3) errors of position and heading at beams: proportional to travel, and a random walk both ways.
 
     They are relative to the middle of a parabola fitted within `fitted` metres from the middle; if that is zero, to the
     middle itself.
     """
     translation, rotation = MODEL.variances(np.ones(()))
     step = np.diff(TRAVEL).mean()
-    walk = np.cumsum(np.sqrt(rotation * step) * random.standard_normal(len(TRAVEL)))
+    walks = np.cumsum(np.sqrt(rotation * step) * random.standard_normal((DRAWS, BEAMS)), axis=1)
     inside = np.abs(TRAVEL) <= fitted
-    walk -= np.polyfit(TRAVEL[inside], walk[inside], 2)[-1] if fitted else np.interp(0.0, TRAVEL, walk)
-    position = np.sqrt(translation) * random.standard_normal(2) * TRAVEL[:, None]
-    return np.column_stack([position, walk])
+    if fitted:
+        middles = np.polyfit(TRAVEL[inside], walks[:, inside].T, 2)[-1]
+    else:
+        middles = np.array([np.interp(0.0, TRAVEL, walk) for walk in walks])
+    positions = np.sqrt(translation) * random.standard_normal((DRAWS, 1, 2)) * TRAVEL[:, None]
+    return np.concatenate([positions, (walks - middles[:, None])[..., None]], axis=2)

@@ -1,0 +1,64 @@
+"""Arrays of some dozens of poses, in compiled code; for single poses and large arrays `drivers.se2` serves.
+
+The operations on each pose, and their order, are those of `drivers.se2`. For arrays of this size it takes ten times as
+long, most of it to call NumPy.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from drivers.compiled import compiled, inlined
+
+
+@compiled
+def compose_each(first, second):  # type: ignore[no-untyped-def]
+    """Return the products (n, 3) of transforms (n, 3), each of `second` in the frame of that of `first`.
+
+    One of the two may be a single one (1, 3), which is used for all of the other.
+    """
+    count = max(len(first), len(second))
+    result = np.empty((count, 3))
+    for k in range(count):
+        a, b = first[min(k, len(first) - 1)], second[min(k, len(second) - 1)]
+        result[k, 0], result[k, 1], result[k, 2] = _product(a[0], a[1], a[2], b)
+    return result
+
+
+@compiled
+def between_each(first, second):  # type: ignore[no-untyped-def]
+    """Return transforms (n, 3) relative to those of `first` (n, 3); one may be single, as for `compose_each`."""
+    count = max(len(first), len(second))
+    result = np.empty((count, 3))
+    for k in range(count):
+        a, b = first[min(k, len(first) - 1)], second[min(k, len(second) - 1)]
+        c, s = math.cos(a[2]), math.sin(a[2])
+        x, y, heading = -c * a[0] - s * a[1], s * a[0] - c * a[1], _wrapped(-a[2])
+        result[k, 0], result[k, 1], result[k, 2] = _product(x, y, heading, b)
+    return result
+
+
+@compiled
+def unwrapped(angles):  # type: ignore[no-untyped-def]
+    """Return angles (n,), radians, without steps of more than half a turn, as `np.unwrap` does."""
+    result, correction = angles.copy(), 0.0
+    for k in range(1, len(angles)):
+        step = angles[k] - angles[k - 1]
+        if abs(step) >= math.pi:
+            within = _wrapped(step)
+            correction += (math.pi if within == -math.pi and step > 0.0 else within) - step
+        result[k] = angles[k] + correction
+    return result
+
+
+@inlined
+def _product(x, y, heading, second):  # type: ignore[no-untyped-def]
+    c, s = math.cos(heading), math.sin(heading)
+    return x + c * second[0] - s * second[1], y + s * second[0] + c * second[1], _wrapped(heading + second[2])
+
+
+@inlined
+def _wrapped(angle):  # type: ignore[no-untyped-def]
+    return (angle + math.pi) % (2 * math.pi) - math.pi
