@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..messages import Floats
+from .beam_times import STATED, BeamTimes
 from .student import statistic, upper_limit
 from .turns import MAX_SCAN_PERIOD, Run, Turns, deskewed
 
@@ -75,12 +76,12 @@ class _Blocks:
     count: Floats
 
 
-def estimate_delay(turns: Turns, direction: float = 1.0) -> Delay | None:
+def estimate_delay(turns: Turns, times: BeamTimes = STATED) -> Delay | None:
     """Return the delay over the turns of a drive; None if the data do not determine it.
 
-    direction  of the beams' times, 1 as stated, -1 reversed
+    times  when the beams of the scans were measured
     """
-    runs = [part for run in turns.runs for part in deskewed(run, direction)]
+    runs = [part for run in turns.runs for part in deskewed(run, times)]
     if not runs or len(turns.odometry) < 2:
         return None
     spacing = float(np.median(np.concatenate([np.diff(run.stamps) for run in runs])))

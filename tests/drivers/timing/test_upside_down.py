@@ -51,7 +51,7 @@ def test_scans_without_a_mount_are_mirrored(tmp_path: Path) -> None:
     assert any("upside down" in line for line in source.report.interpretations)
     timing = RecordingTiming.of(source)
     assert timing.doubts() == []
-    assert not timing.beams_reversed
+    assert timing.beam_times.as_stated
 
 
 def test_a_stated_mount_is_doubted_and_nothing_is_mirrored(tmp_path: Path) -> None:
