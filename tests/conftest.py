@@ -1,7 +1,7 @@
 """Settings of all tests: a busy machine makes no test fail, and everything is compiled before the first one."""
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from hashlib import blake2b
 
@@ -12,6 +12,7 @@ from typer.main import get_command
 from drivers import se2
 from drivers.messages import Floats
 from drivers.timing import beam_order, turns
+from drivers.timing.beam_times import BeamTimes
 from features.kernel import extract_features
 from kernel_cache import is_cached
 from slam.cli import COLLECTION_THRESHOLD
@@ -68,7 +69,7 @@ def scans_are_matched_once() -> Iterator[None]:
     """
     measure, compare = turns._motion, beam_order._costs
     motions: dict[bytes, se2.Pose | None] = {}
-    costs: dict[bytes, tuple[float, ...] | None] = {}
+    costs: dict[tuple[bytes, tuple[BeamTimes, ...]], tuple[float, ...] | None] = {}
 
     def measure_once(before: Floats, points: Floats, guess: se2.Pose) -> se2.Pose | None:
         key = digest(guess, before, points)
@@ -76,11 +77,14 @@ def scans_are_matched_once() -> Iterator[None]:
             motions[key] = measure(before, points, guess)
         return motions[key]
 
-    def compare_once(run: turns.Run, first: int, second: int) -> tuple[float, ...] | None:
+    def compare_once(
+        run: turns.Run, first: int, second: int, hypotheses: Sequence[BeamTimes]
+    ) -> tuple[float, ...] | None:
         scans = [(scan.ranges, scan.angles, scan.time_offsets) for scan in (run.scans[first], run.scans[second])]
-        key = digest(*scans[0], *scans[1], run.poses[[first, second]], run.twists[[first, second]])
+        motion = run.poses[[first, second]], run.twists[[first, second]]
+        key = digest(*scans[0], *scans[1], *motion), tuple(hypotheses)
         if key not in costs:
-            costs[key] = compare(run, first, second)
+            costs[key] = compare(run, first, second, hypotheses)
         return costs[key]
 
     with pytest.MonkeyPatch.context() as patch:

@@ -22,6 +22,8 @@ MIN_JUMP, MIN_JUMP_TURN = 0.1, 0.2
 """Metres and radians; smaller steps are not jumps at any speed."""
 MAX_INVALID_SHARE = 0.5
 """Share of the beams; above it there is a warning."""
+MAX_REPEATED_SHARE = 0.1
+"""Share of the scans that have the stamp of the one before; above it, stamps are coarser than scans are frequent."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,8 @@ class RecordingInfo:
     ground_truth: int = 0
     start: float | None = None
     duration: float = 0.0
-    scan_rate: float | None = None  # 1 / median period
+    scan_rate: float | None = None  # 1 / median period; scans per second if stamps are repeated
+    repeated_stamps: float = 0.0  # share of the scans that have the stamp of the one before
     odometry_rate: float | None = None
     beams: tuple[int, int] | None = None
     field_of_view: tuple[float, float] | None = None  # first and last angle, radians
@@ -125,7 +128,11 @@ def inspect(source: Source) -> RecordingInfo:
 def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
     if scans.last is None:
         return
-    info.scan_rate, info.scan_gaps = _rate_and_gaps(np.array(scans.stamps))
+    stamps = np.array(scans.stamps)
+    info.scan_rate, info.scan_gaps = _rate_and_gaps(stamps)
+    info.repeated_stamps = float(np.mean(np.diff(stamps) == 0.0)) if len(stamps) > 1 else 0.0
+    if info.repeated_stamps > MAX_REPEATED_SHARE and info.scan_rate is not None:
+        info.scan_rate = (len(stamps) - 1) / float(np.ptp(stamps))
     info.beams = min(scans.beams), max(scans.beams)
     info.field_of_view = float(scans.last.angles[0]), float(scans.last.angles[-1])
     info.range_limits = scans.last.range_min, scans.last.range_max
@@ -181,6 +188,10 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
         warnings.append(f"the number of beams varies between {info.beams[0]} and {info.beams[1]}")
     if info.invalid_share is not None and info.invalid_share > MAX_INVALID_SHARE:
         warnings.append(f"{100.0 * info.invalid_share:.0f} % of the beams have no return")
+    if info.repeated_stamps > MAX_REPEATED_SHARE:
+        share = f"{100.0 * info.repeated_stamps:.0f} % of the scans have the stamp of the scan before"
+        seconds = ", and all are whole seconds" if not np.any(np.mod(scans.stamps, 1.0)) else ""
+        warnings.append(f"{share}{seconds}: stamps are coarser than scans are frequent")
     warnings += _offset_warnings(info)
     warnings += _gap_warnings("scans", info.scan_gaps, start)
     warnings += _gap_warnings("odometry", info.odometry_gaps, start)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Scan, SourceReport, mirrored, with_reversed_times
+from ..messages import GroundTruth, Message, Scan, SourceReport, mirrored
 from .copies import without_copies
 from .frozen_odometry import FrozenOdometryDetector
 from .odometry_speed import OdometrySpeed
@@ -22,6 +22,7 @@ from .time_ordering import order_by_time
 
 if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrder, BeamOrderTest
+    from ..timing.beam_times import BeamTimes
     from ..timing.delay import Delay
     from ..timing.gyroscope_scale import GyroscopeScale
     from ..timing.mount_heading import MountHeading
@@ -65,7 +66,7 @@ class RecordingReader(ABC):
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
         frozen, speed = FrozenOdometryDetector(), OdometrySpeed()
-        beams_reversed = self.beams_reversed
+        times = self.beam_times
         reason, gyroscope = self.reason_to_mirror, self.gyroscope_scale
         messages = self._first_or_new_messages()
         report = self.report
@@ -80,7 +81,7 @@ class RecordingReader(ABC):
             report.messages += 1
             frozen.add(message)
             speed.add(message)
-            yield with_reversed_times(message) if beams_reversed and isinstance(message, Scan) else message
+            yield times.of(message) if isinstance(message, Scan) else message
         frozen.finish()
         for text in (frozen.describe(), speed.describe()):
             if text is not None:
@@ -95,18 +96,19 @@ class RecordingReader(ABC):
             raise RecordingError(self.path, None, f"has no topics, so none is named {topic}")
 
     @property
-    def beams_reversed(self) -> bool:
-        """True if the beams' times are reversed when the recording is read."""
-        test = self.beam_order_test if self.beam_order == "auto" else None
-        return self.beam_order == "reversed" if test is None else test.order == "reversed"
+    def beam_times(self) -> BeamTimes:
+        """Times that the beams have when the recording is read."""
+        from ..timing.beam_times import STATED, BeamTimes
+
+        if self.beam_order != "auto":
+            return BeamTimes(reversed=self.beam_order == "reversed")
+        test = self.beam_order_test
+        return STATED if test is None or test.times is None else test.times
 
     @cached_property
     def beam_order_test(self) -> BeamOrderTest | None:
-        """Comparison of the orders of the beams' times; None if the recording does not state any."""
-        if not self.states_beam_times:
-            return None
-        first = next((message for message in self._survey_messages() if isinstance(message, Scan)), None)
-        if first is None or not first.time_offsets.any():
+        """Comparison of times of the beams; None if the format has none, or the recording no scans."""
+        if not self.states_beam_times or not any(isinstance(message, Scan) for message in self._survey_messages()):
             return None
         from ..timing.beam_order import decide_beam_order
 
@@ -166,7 +168,7 @@ class RecordingReader(ABC):
         """Delay of the lidar's stamps against odometry's; None if the recording does not determine it."""
         from ..timing.delay import estimate_delay
 
-        return estimate_delay(self._turns, -1.0 if self.beams_reversed else 1.0)
+        return estimate_delay(self._turns, self.beam_times)
 
     @cached_property
     def mount_heading(self) -> MountHeading | None:

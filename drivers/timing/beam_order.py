@@ -1,27 +1,30 @@
-"""Decide from the scans in which order a lidar measured its beams.
+"""Decide from the scans when and in which order a lidar measured its beams.
 
 Some drivers turn the beams of a message round, but not their times. De-skewing then bends the scans of a turning robot
-twice as much as none would. Scans that are bent in different ways do not fit onto each other, so pairs of scans are
-matched three times: de-skewed with the stated times, with reversed times, and with none. The motion during the sweep is
-that of scan matching. The difference of the log-likelihoods of two hypotheses, taken over the pairs, has a mean and a
-standard error; their ratio is Vuong's statistic for the comparison of models (Econometrica 57, 1989), here with
-Student's distribution because the pairs are few.
+twice as much as none would. Others state the time that the program waited for a scan, or nothing, although the lidar
+measures one beam after the other. Scans that are bent in different ways do not fit onto each other, so pairs of scans
+are matched several times: de-skewed with the stated times, with reversed times, with those of a lidar that turns once
+from scan to scan, in either direction, and with none. The motion during the sweep is that of scan matching. The
+difference of the log-likelihoods of two hypotheses, taken over the pairs, has a mean and a standard error; their ratio
+is Vuong's statistic for the comparison of models (Econometrica 57, 1989), here with Student's distribution because the
+pairs are few.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from .. import se2
 from ..messages import Floats, Scan
+from .beam_times import STATED, BeamTimes
 from .scan_matching import match, middle_offset, scan_points, surface
 from .student import statistic, upper_limit
 from .turns import Run, Turns
 
-Order = Literal["forward", "reversed"]
 BeamOrder = Literal["auto", "forward", "reversed"]
 
 # Pairs of scans that are matched, those that are bent most differently. Origin: chosen, for a second of computing.
@@ -32,56 +35,82 @@ MIN_PAIRS = 8
 MIN_BENDING = 0.002
 # Metres between the scans of a pair at most. Origin: chosen, they should show the same surfaces; not measured.
 MAX_DISTANCE = 1.0
-# Probability of a wrong decision if two orders explain the scans equally well.
-# Origin: chosen, so that no user meets one.
-ERROR_PROBABILITY = 1e-6
+# Probability of a wrong order if both explain the scans equally well. Origin: chosen. They do so only where little
+# depends on it: if one is true, the other explains the scans worse.
+ERROR_PROBABILITY = 1e-4
+# Probability below which the scans contradict other times of the beams. Origin: chosen, the usual level of a test.
+CONTRADICTION_PROBABILITY = 0.05
 # Directions in which the bending of two scans is compared. Origin: numerical.
 DIRECTIONS = 48
-# Factors on the beams' times of the hypotheses: as stated, reversed, none. Origin: definition.
-FACTORS = (1.0, -1.0, 0.0)
+# Relative difference from which on the stated duration of a turn is not the time from scan to scan.
+# Origin: chosen; a smaller one bends scans by less than the noise of a bearing.
+DIFFERENT = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class BeamOrderTest:
     """Result of the comparison.
 
-    order       order of the beams' times that explains the scans; None if nothing can be said
-    pairs       number of pairs of scans
-    statistic   log-likelihood of the stated order minus that of the reversed one, divided by its standard error
+    times         times of the beams that explain the scans best; None if the scans do not show it with certainty
+    pairs         number of pairs of scans
+    statistic     log-likelihood of the times that explain the scans best minus that of the opposite order, or of the
+                  stated times if all beams were measured at once, divided by its standard error
+    stated_sweep  seconds from the first beam of a scan to the last, as stated; 0 if nothing is stated
     """
 
-    order: Order | None
+    times: BeamTimes | None
     pairs: int
     statistic: float
+    stated_sweep: float
 
 
 def decide_beam_order(turns: Turns) -> BeamOrderTest:
-    """Compare the orders over the turns of a drive.
+    """Compare the hypotheses over the turns of a drive.
 
-    The times are reversed only if that explains the scans significantly better than the stated order, and than none.
+    The one with the highest likelihood is true if that is significantly higher than for the opposite order, and the
+    scans contradict the others.
     """
-    pairs = sorted((pair for run in turns.runs for pair in _pairs(run)), key=lambda pair: -pair[0])[:MAX_PAIRS]
-    costs = [cost for _, run, first, second in pairs if (cost := _costs(run, first, second)) is not None]
-    if len(costs) < MIN_PAIRS:
-        return BeamOrderTest(None, len(costs), 0.0)
-    stated, reversed_, none = np.array(costs).T
-    limit = upper_limit(ERROR_PROBABILITY, len(costs) - 1)
-    preference = statistic(reversed_ - stated)
-    order: Order | None = None
-    if preference > limit:
-        order = "forward"
-    elif preference < -limit and statistic(none - reversed_) > limit:
-        order = "reversed"
-    return BeamOrderTest(order, len(costs), preference)
+    hypotheses, stated = _hypotheses(turns), turns.stated_sweep
+    longest = max(hypotheses, key=lambda times: times.turn or 0.0)
+    pairs = sorted((pair for run in turns.runs for pair in _pairs(run, longest)), key=lambda pair: -pair[0])[:MAX_PAIRS]
+    costs = [cost for _, run, a, b in pairs if (cost := _costs(run, a, b, hypotheses)) is not None]
+    if len(costs) < MIN_PAIRS or len(hypotheses) == 1:
+        return BeamOrderTest(None, len(costs), 0.0, stated)
+    by_hypothesis = dict(zip(hypotheses, np.array(costs).T, strict=True))
+    best = min(hypotheses, key=lambda times: float(by_hypothesis[times].mean()))
+    better = {times: statistic(cost - by_hypothesis[best]) for times, cost in by_hypothesis.items() if times != best}
+    opposite = better[_opposite(best, hypotheses)]
+    limit, of_others = (upper_limit(level, len(costs) - 1) for level in (ERROR_PROBABILITY, CONTRADICTION_PROBABILITY))
+    certain = opposite > limit and min(better.values()) > of_others
+    return BeamOrderTest(best if certain else None, len(costs), opposite, stated)
 
 
-def _pairs(run: Run) -> list[tuple[float, Run, int, int]]:
+def _opposite(times: BeamTimes, hypotheses: Sequence[BeamTimes]) -> BeamTimes:
+    """Return the hypothesis with the opposite order of the beams; if there is none, the stated times or any others."""
+    opposite = replace(times, reversed=not times.reversed)
+    if opposite in hypotheses:
+        return opposite
+    return STATED if times != STATED else hypotheses[-1]
+
+
+def _hypotheses(turns: Turns) -> list[BeamTimes]:
+    """Return the times of beams that are compared, first the stated ones; others only if they are different."""
+    stated, period = turns.stated_turn, turns.scan_period
+    hypotheses = [STATED]
+    if stated > 0.0:
+        hypotheses += [BeamTimes(reversed=True), BeamTimes(0.0)]
+    if abs(stated - period) > DIFFERENT * period:
+        hypotheses += [BeamTimes(period), BeamTimes(period, reversed=True)]
+    return hypotheses
+
+
+def _pairs(run: Run, times: BeamTimes) -> list[tuple[float, Run, int, int]]:
     """Return pairs of scans as (difference of bending, run, first, second); no scan is in two pairs."""
     first, second = np.triu_indices(len(run.scans), 1)
     apart = np.hypot(*(run.poses[second, :2] - run.poses[first, :2]).T)
     near = apart < MAX_DISTANCE
     first, second = first[near], second[near]
-    bending = _bending_difference(run, first, second)
+    bending = _bending_difference(run, times, first, second)
     pairs: list[tuple[float, Run, int, int]] = []
     used: set[int] = set()
     for k in np.argsort(-bending):
@@ -94,7 +123,7 @@ def _pairs(run: Run) -> list[tuple[float, Run, int, int]]:
     return pairs
 
 
-def _bending_difference(run: Run, first: Floats, second: Floats) -> Floats:
+def _bending_difference(run: Run, times: BeamTimes, first: Floats, second: Floats) -> Floats:
     """Return (p,) by how much de-skewing moves the two scans of each pair against each other, radians RMS.
 
     A beam at angle a is moved by the rotation rate times its time from the middle of the sweep; what is common to all
@@ -102,7 +131,7 @@ def _bending_difference(run: Run, first: Floats, second: Floats) -> Floats:
     """
     directions = np.linspace(-np.pi, np.pi, DIRECTIONS, endpoint=False)
     moved = np.array(
-        [_moves(scan, rate, se2.wrap(directions - heading))
+        [_moves(times.of(scan), rate, se2.wrap(directions - heading))
          for scan, rate, heading in zip(run.scans, run.twists[:, 2], run.poses[:, 2], strict=True)]
     )  # fmt: skip
     difference = moved[second] - moved[first]
@@ -120,12 +149,12 @@ def _moves(scan: Scan, rate: float, bearings: Floats) -> Floats:
     return np.asarray(rate * times)
 
 
-def _costs(run: Run, first: int, second: int) -> tuple[float, ...] | None:
+def _costs(run: Run, first: int, second: int, hypotheses: Sequence[BeamTimes]) -> tuple[float, ...] | None:
     """Return the cost of a pair under each hypothesis, matched both ways; None if a match fails."""
     guess = se2.between(run.poses[first], run.poses[second])
     costs = []
-    for factor in FACTORS:
-        points = [scan_points(run.scans[k], run.twists[k], factor) for k in (first, second)]
+    for times in hypotheses:
+        points = [scan_points(times.of(run.scans[k]), run.twists[k]) for k in (first, second)]
         surfaces = [surface(one) for one in points]
         if surfaces[0] is None or surfaces[1] is None:
             return None

@@ -20,6 +20,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..messages import Floats
+from .beam_times import STATED, BeamTimes
 from .student import statistic, upper_limit
 from .turns import MAX_SCAN_PERIOD, Run, Turns, deskewed
 
@@ -75,12 +76,12 @@ class _Blocks:
     count: Floats
 
 
-def estimate_delay(turns: Turns, direction: float = 1.0) -> Delay | None:
+def estimate_delay(turns: Turns, times: BeamTimes = STATED) -> Delay | None:
     """Return the delay over the turns of a drive; None if the data do not determine it.
 
-    direction  of the beams' times, 1 as stated, -1 reversed
+    times  when the beams of the scans were measured
     """
-    runs = [part for run in turns.runs for part in deskewed(run, direction)]
+    runs = [part for run in turns.runs for part in deskewed(run, times)]
     if not runs or len(turns.odometry) < 2:
         return None
     spacing = float(np.median(np.concatenate([np.diff(run.stamps) for run in runs])))
@@ -107,7 +108,10 @@ def _gaussian(sigma: float) -> Floats:
 
 
 def _collect(runs: Sequence[Run], odometry: Floats, smoothing: Floats) -> _Blocks | None:
-    """Compare the turns of all runs with odometry (m, 2) at all delays; None if no run is long enough."""
+    """Compare the turns of all runs with odometry (m, 2) at all delays; None if no run is long enough.
+
+    Blocks are left out if odometry has a gap within the largest delay of them.
+    """
     span, reach, margin = round(SPAN / STEP), round(MAX_DELAY / STEP), len(smoothing) // 2
     rows = []
     for run in runs:
@@ -116,14 +120,14 @@ def _collect(runs: Sequence[Run], odometry: Floats, smoothing: Floats) -> _Block
         if inner <= span + 1:
             continue
         around = grid[0] + STEP * np.arange(-reach, len(grid) + reach)
-        if _has_gap(odometry[:, 0], around[0], around[-1]):
-            continue
         lidar = np.convolve(np.interp(grid, run.stamps, run.poses[:, 2]), smoothing, "valid")
         wheels = np.convolve(np.interp(around, odometry[:, 0], odometry[:, 1]), smoothing, "valid")
         y, turned = lidar[span:] - lidar[:-span], wheels[span:] - wheels[:-span]
         x = np.array([turned[reach - shift :][: len(y)] for shift in range(-reach, reach + 1)])
         edges = np.linspace(0, len(y), max(1, round(len(y) * STEP / BLOCK)) + 1).astype(np.int64)
         for a, b in pairwise(edges):
+            if _has_gap(odometry[:, 0], around[a], around[b - 1 + span + 2 * (margin + reach)]):
+                continue
             rows.append(((x[:, a:b] ** 2).sum(axis=1), x[:, a:b] @ y[a:b], float(y[a:b] @ y[a:b]), float(b - a)))
     if not rows:
         return None

@@ -85,17 +85,16 @@ class Match:
     cost: float
 
 
-def scan_points(scan: Scan, twist: Floats | None = None, direction: float = 1.0) -> Floats:
+def scan_points(scan: Scan, twist: Floats | None = None) -> Floats:
     """Return the valid returns (n, 2) in the lidar's frame in the middle of the sweep, metres.
 
-    twist      (3,) velocity of the lidar [m/s, m/s, rad/s] during the sweep, for de-skewing; None leaves it out
-    direction  factor on the beams' times from the middle: 1 as stated, -1 reversed, 0 all at once
+    twist  (3,) velocity of the lidar [m/s, m/s, rad/s] during the sweep, for de-skewing; None leaves it out
     """
     valid = np.isfinite(scan.ranges) & (scan.ranges > 0.0)
     ranges, bearings = scan.ranges[valid], scan.angles[valid]
     shift = np.zeros((len(ranges), 2))
     if twist is not None:
-        since_middle = direction * (scan.time_offsets[valid] - middle_offset(scan))
+        since_middle = scan.time_offsets[valid] - middle_offset(scan)
         bearings = bearings + twist[2] * since_middle
         shift = since_middle[:, None] * twist[:2]
     return np.asarray(ranges[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)]) + shift)

@@ -18,7 +18,7 @@ import numpy as np
 from ..messages import Floats
 from .motion_pairs import ERROR_PROBABILITY, MIN_PAIRS, covered_pairs, jackknife_sigma, leave_one_out
 from .student import upper_limit
-from .turns import Run
+from .turns import MAX_ROTATION_SIGMA, Run
 
 # Factor by which the scale differs from an expected one at most, or its inverse.
 # Origin: chosen, well beyond calibration errors, and far below the ratio of units.
@@ -58,10 +58,13 @@ class TurnScale:
 def estimate_turn_scale(runs: Sequence[Run], stamps: Floats, angles: Floats, max_period: float) -> TurnScale | None:
     """Return the scale of a sensor's angles (m,) at stamps (m,); None if the data do not determine it.
 
+    They do not if the lidar's turns are within the errors of scan matching: these draw the scale to zero, as if the
+    sensor did not measure what the scans show.
+
     max_period  seconds between stamps at most, to interpolate between them
     """
     rows = np.array([row for run in runs for row in _turns_between(run, stamps, angles, max_period)])
-    if len(rows) < MIN_PAIRS:
+    if len(rows) < MIN_PAIRS or np.sqrt(np.mean(rows[:, 0] ** 2)) < MAX_ROTATION_SIGMA:
         return None
     weights = np.ones(len(rows))
     try:

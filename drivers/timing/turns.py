@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -11,6 +11,7 @@ import numpy as np
 
 from .. import se2
 from ..messages import Floats, Message, Odometry, Scan, YawRate
+from .beam_times import BeamTimes
 from .scan_matching import find_rotation, match, middle_offset, scan_points, surface
 
 # Seconds of a part of a drive. Origin: chosen, a turn with what is before and after it; not measured.
@@ -25,6 +26,8 @@ MIN_SCAN_PERIOD = 0.09
 MAX_SCAN_PERIOD = 0.6
 # Radians, largest standard deviation of a measured rotation. Origin: chosen, a degree; not measured.
 MAX_ROTATION_SIGMA = 0.02
+# Radians, least view of a scan whose part of a turn is computed. Origin: numerical.
+MIN_VIEW = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +68,12 @@ class _Part:
 class Turns:
     """Turns of a drive, collected from its messages in time order; memory does not grow with the number of scans.
 
-    Turns are found by odometry; without any, by a gyroscope, or else by the scans, if those state the times of their
-    beams.
+    Turns are found by odometry; without any, by a gyroscope, or else by the scans.
 
-    odometry   (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
-    positions  (m, 2) of the base at these stamps, metres
-    rates      (k, 2) stamps (seconds, increasing) and rates of a gyroscope as recorded
+    odometry     (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
+    positions    (m, 2) of the base at these stamps, metres
+    rates        (k, 2) stamps (seconds, increasing) and rates of a gyroscope as recorded
+    scan_period  median seconds from scan to scan; 0 without two scans
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
@@ -78,8 +81,10 @@ class Turns:
         readings: list[tuple[float, float, float, float]] = []
         rates: list[tuple[float, float]] = []
         part, end, last = _Part(), -np.inf, -np.inf
+        stamps: list[float] = []
         for message in messages:
             if isinstance(message, Scan):
+                stamps.append(message.stamp)
                 if message.stamp >= end:
                     self._keep(part, measured=bool(readings or rates))
                     part, end = _Part(), message.stamp + PART_DURATION
@@ -98,6 +103,7 @@ class Turns:
                 if not readings:
                     part.slowest, part.fastest = min(part.slowest, message.rate), max(part.fastest, message.rate)
         self._keep(part, measured=bool(readings or rates))
+        self.scan_period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
         self.rates = np.array(rates).reshape(-1, 2)
         path = _strictly_increasing(np.array(readings).reshape(-1, 4))
         self.odometry, self.positions = path[:, :2], path[:, 2:]
@@ -122,6 +128,21 @@ class Turns:
         return np.column_stack([np.interp(stamps, self.odometry[:, 0], column) for column in columns])
 
     @cached_property
+    def stated_sweep(self) -> float:
+        """Seconds from the first beam of a scan to the last, as stated: the median of the collected scans."""
+        return self._median(lambda scan: scan.duration)
+
+    @cached_property
+    def stated_turn(self) -> float:
+        """Seconds of a whole turn of the lidar by the stated times of beams: the median of the collected scans."""
+        return self._median(lambda scan: scan.duration * 2.0 * np.pi / max(float(np.ptp(scan.angles)), MIN_VIEW))
+
+    def _median(self, value: Callable[[Scan], float]) -> float:
+        """Return the median of a value of the collected scans; 0 without any."""
+        values = [value(scan) for part in self._parts for scan in part.scans if len(scan.angles)]
+        return float(np.median(values)) if values else 0.0
+
+    @cached_property
     def runs(self) -> list[Run]:
         """Runs of matched scans in the collected parts, in time order."""
         parts = sorted(self._parts, key=lambda one: one.scans[0].stamp)
@@ -138,11 +159,11 @@ def _latest_rate(readings: list[tuple[float, float, float, float]]) -> float:
 
 
 def _rates_of_scans(scans: Sequence[Scan]) -> list[float]:
-    """Return the rotation rates from scan to scan, rad/s; none for scans without times of their beams."""
+    """Return the rotation rates from scan to scan, rad/s."""
     return [
         find_rotation(scan, before) / (scan.stamp - before.stamp)
         for before, scan in pairwise(scans)
-        if scan.time_offsets.any() and scan.stamp - before.stamp < MAX_SCAN_PERIOD
+        if scan.stamp - before.stamp < MAX_SCAN_PERIOD
     ]
 
 
@@ -160,16 +181,17 @@ def _matched_runs(scans: list[Scan]) -> list[Run]:
     return _chain(scans, [scan_points(scan) for scan in scans], guesses)
 
 
-def deskewed(run: Run, direction: float) -> list[Run]:
-    """Match the scans of a run again, de-skewed with the motion from the first match.
+def deskewed(run: Run, times: BeamTimes) -> list[Run]:
+    """Match the scans of a run again, with these times of their beams, de-skewed with the motion from the first match.
 
     A scan that is not de-skewed shows where the lidar was when it measured the surfaces that determined the match,
-    which need not be the middle of the sweep. `direction` as for `scan_points`. A failed match ends a run.
+    which need not be the middle of the sweep. A failed match ends a run.
     """
-    if not any(scan.time_offsets.any() for scan in run.scans):
+    scans = [times.of(scan) for scan in run.scans]
+    if not any(scan.time_offsets.any() for scan in scans):
         return [run]
-    points = [scan_points(scan, twist, direction) for scan, twist in zip(run.scans, run.twists, strict=True)]
-    return _chain(run.scans, points, [None, *se2.between(run.poses[:-1], run.poses[1:])])
+    points = [scan_points(scan, twist) for scan, twist in zip(scans, run.twists, strict=True)]
+    return _chain(scans, points, [None, *se2.between(run.poses[:-1], run.poses[1:])])
 
 
 def _chain(scans: list[Scan], points: list[Floats], guesses: Sequence[se2.Pose | None]) -> list[Run]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.messages import Source
 from drivers.source_factory import recording_of, second_recording_of
+from drivers.timing.beam_times import STATED, BeamTimes
 
 if TYPE_CHECKING:
     from drivers.recordings.reader import RecordingReader
@@ -26,8 +27,8 @@ DIFFERENT = 5.0
 class RecordingTiming:
     """Timing of a recording's lidar; nothing is known of simulations and devices.
 
-    beams_reversed  if the beams' times are reversed when the recording is read
-    order_test      comparison of their orders; None if it was not made
+    beam_times      times that the beams have when the recording is read
+    order_test      comparison of times of the beams; None if it was not made
     delay           delay of the lidar as found; None if it was not looked for, or is not determined
     used_delay      seconds that are compensated
     mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
@@ -35,7 +36,7 @@ class RecordingTiming:
     turn_doubts     what is probably wrong with the turns of odometry, as lines of text
     """
 
-    beams_reversed: bool = False
+    beam_times: BeamTimes = STATED
     order_test: BeamOrderTest | None = None
     delay: Delay | None = None
     used_delay: float = 0.0
@@ -68,10 +69,10 @@ class RecordingTiming:
         turns = reader.odometry_turns
         doubts = () if turns is None else tuple(turns.doubts(corrected=reader.reason_to_mirror is not None))
         if set_delay is not None:
-            return cls(reader.beams_reversed, test, None, set_delay, heading, used_heading, doubts)
+            return cls(reader.beam_times, test, None, set_delay, heading, used_heading, doubts)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beams_reversed, test, delay, used, heading, used_heading, doubts)
+        return cls(reader.beam_times, test, delay, used, heading, used_heading, doubts)
 
     def compensated(self, config: Config) -> Config:
         """Return the settings with the delay that is compensated, and the heading of a mount that is not stated."""
@@ -94,7 +95,8 @@ class RecordingTiming:
         """Return the timing as plain data, for summary.json."""
         found = self.delay
         return {
-            "beams_reversed": self.beams_reversed,
+            "beams_reversed": self.beam_times.reversed,
+            "beams_turn": self.beam_times.turn,
             "delay": None if found is None else round(found.seconds, 4),
             "delay_sigma": None if found is None else round(found.sigma, 4),
             "compensated_delay": self.used_delay,
@@ -103,8 +105,9 @@ class RecordingTiming:
     def findings(self) -> list[str]:
         """Return what was measured and needs no correction, as lines of text."""
         lines = []
-        if self.order_test is not None and not self.beams_reversed:
-            lines.append(f"beams in the stated order{_evidence(self.order_test)}")
+        test = self.order_test
+        if test is not None and test.stated_sweep > 0.0 and self.beam_times.as_stated:
+            lines.append(f"beams in the stated order{_evidence(test)}")
         if self.delay is not None and self.delay.objection is not None:
             lines.append(f"{_late(self.delay.seconds, self.delay)}; not compensated: {self.delay.objection}")
         return lines
@@ -112,8 +115,8 @@ class RecordingTiming:
     def corrections(self) -> list[str]:
         """Return what `wclm run` corrects, as lines of text."""
         lines = []
-        if self.beams_reversed:
-            lines.append(f"beams in the opposite of the stated order{_evidence(self.order_test)}")
+        if not self.beam_times.as_stated:
+            lines.append(f"{_described(self.beam_times, self.order_test)}{_evidence(self.order_test)}")
         if self.used_delay:
             lines.append(f"{_late(self.used_delay, self.delay)}; compensated")
         if self.used_heading is not None:
@@ -157,13 +160,25 @@ def _contradicting(found: MountHeading | None, mount: Sequence[float] | None) ->
     return found if found.contradicts(supposed or 0.0) else None
 
 
+def _described(times: BeamTimes, test: BeamOrderTest | None) -> str:
+    """Return when beams are measured, in contrast to the stated times, as the beginning of a line of text."""
+    if times.turn is None:
+        return "beams in the opposite of the stated order"
+    stated = 0.0 if test is None else test.stated_sweep
+    contrast = f"instead of in the stated {stated:.3g} s" if stated > 0.0 else "though no times are stated"
+    if times.turn == 0.0:
+        return f"beams measured all at once {contrast}"
+    direction = "clockwise" if times.reversed else "counter-clockwise"
+    return f"beams measured over {direction} turns of {times.turn:.3f} s {contrast}"
+
+
 def _evidence(test: BeamOrderTest | None) -> str:
     """Return how the order of the beams is known, as the end of a line of text; empty if it is set."""
     if test is None:
         return ""
-    if test.order is None:
+    if test.times is None:
         return "; the scans do not show whether that is right"
-    return f", by {abs(test.statistic):.1f} standard errors over {test.pairs} pairs of scans"
+    return f", by {test.statistic:.1f} standard errors over {test.pairs} pairs of scans"
 
 
 def _late(seconds: float, found: Delay | None) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import shutil
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Hashable, Iterator
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -111,7 +111,7 @@ def _cached(estimate: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of turns that computes its result once in all modules for turns with the same odometry."""
     found: dict[tuple[Any, ...], Any] = {}
 
-    def cached(turns: Turns, *others: float) -> Any:
+    def cached(turns: Turns, *others: Hashable) -> Any:
         key = (turns.odometry.tobytes(), *others)
         if key not in found:
             found[key] = estimate(turns, *others)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -85,6 +86,17 @@ def test_problems_are_warned_of(messages: list[Message], warning: str) -> None:
 def test_single_slow_revolutions_are_not_warned_of() -> None:
     info = inspect_list([*drive(), scan(10.1, offset=0.5)])
     assert info.warnings == []
+
+
+@pytest.mark.parametrize(("step", "clause"), [(1.0, ", and all are whole seconds"), (0.4, "")])
+def test_stamps_coarser_than_scans_are_frequent_are_warned_of(step: float, clause: str) -> None:
+    coarse = [scan(step * math.floor(m.stamp / step)) if isinstance(m, Scan) else m for m in drive()]
+    info = inspect_list(coarse)
+    share = 100.0 - 1000.0 / (99.0 * step)
+    (warning,) = [text for text in info.warnings if "coarser" in text]
+    assert warning.endswith(f"have the stamp of the scan before{clause}: stamps are coarser than scans are frequent")
+    assert float(warning.split()[0]) == pytest.approx(share, abs=3.0)
+    assert info.scan_rate == pytest.approx(10.0, rel=0.12)
 
 
 def test_scans_in_a_gap_of_the_odometry_are_warned_of() -> None:

@@ -1,7 +1,8 @@
-"""The order of the beams' times is decided from the scans of a turning robot, and only if they show it."""
+"""The times of the beams are decided from the scans of a turning robot, and only if they show them."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +12,17 @@ import pytest
 import drivers
 from drivers.messages import Message, Odometry, Scan, with_reversed_times
 from drivers.recordings.mcap import McapWriter
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from drivers.timing.beam_order import decide_beam_order
+from drivers.timing.beam_times import STATED, BeamTimes
 from drivers.timing.turns import Turns
+from slam.io.recording_timing import RecordingTiming
 
 from ...recordings import dataset_file
 from .drives import mirrored, office_drive
+
+RATE = LIDAR_MODELS["short"].rate
+"""Turns per second of the lidar in `office_drive`."""
 
 
 def with_reversed_scans(drive: tuple[Message, ...]) -> list[Message]:
@@ -25,14 +32,51 @@ def with_reversed_scans(drive: tuple[Message, ...]) -> list[Message]:
 @pytest.mark.parametrize("clockwise", [False, True])
 def test_order_is_found_for_both_directions_of_rotation(clockwise: bool) -> None:
     drive = mirrored(office_drive()) if clockwise else office_drive()
-    assert decide_beam_order(Turns(drive)).order == "forward"
-    assert decide_beam_order(Turns(with_reversed_scans(drive))).order == "reversed"
+    assert decide_beam_order(Turns(drive)).times == STATED
+    assert decide_beam_order(Turns(with_reversed_scans(drive))).times == BeamTimes(reversed=True)
 
 
 def test_order_is_found_without_odometry() -> None:
     scans = tuple(message for message in office_drive() if isinstance(message, Scan))
-    assert decide_beam_order(Turns(scans)).order == "forward"
-    assert decide_beam_order(Turns(with_reversed_scans(scans))).order == "reversed"
+    assert decide_beam_order(Turns(scans)).times == STATED
+    assert decide_beam_order(Turns(with_reversed_scans(scans))).times == BeamTimes(reversed=True)
+
+
+def with_offsets(drive: Iterable[Message], sweep: float) -> list[Message]:
+    """Return the drive with scans that state another duration of the sweep, in seconds."""
+    return [
+        replace(message, time_offsets=np.linspace(0.0, sweep, len(message.ranges)))
+        if isinstance(message, Scan) else message
+        for message in drive
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("stated", [0.0, 1e-4])
+def test_a_lidar_that_turns_is_recognised_if_no_times_or_those_of_a_buffer_are_stated(
+    clockwise: bool, stated: float
+) -> None:
+    drive = with_offsets(mirrored(office_drive()) if clockwise else office_drive(), stated)
+    for messages in (drive, [message for message in drive if isinstance(message, Scan)]):
+        found = decide_beam_order(Turns(messages)).times
+        assert found is not None
+        assert found.reversed == clockwise
+        assert found.turn == pytest.approx(1.0 / RATE, rel=1e-3)
+
+
+def drive_with_scans_of_one_moment() -> list[Message]:
+    """Return a drive with a lidar that turns ten times as fast, of whose scans every tenth is kept, without times."""
+    lidar = replace(LIDAR_MODELS["short"], rate=10 * RATE)
+    drive = list(Simulation("office", 0, 30.0, lidar, WHEEL_MODELS["good"], [0.1, 0.0, 0.0]))
+    scans = [message for message in drive if isinstance(message, Scan)][::10]
+    odometry = [message for message in drive if isinstance(message, Odometry)]
+    return with_offsets(sorted([*scans, *odometry], key=lambda message: message.stamp), 0.0)
+
+
+def test_scans_of_one_moment_are_recognised() -> None:
+    drive = drive_with_scans_of_one_moment()
+    assert decide_beam_order(Turns(drive)).times == STATED
+    assert decide_beam_order(Turns(with_offsets(drive, 1.0 / RATE))).times == BeamTimes(0.0)
 
 
 def test_odometry_that_begins_late_finds_the_turns() -> None:
@@ -46,9 +90,17 @@ def test_odometry_that_begins_late_finds_the_turns() -> None:
 
 def test_nothing_is_said_of_a_robot_that_does_not_turn() -> None:
     scans = [message for message in office_drive() if isinstance(message, Scan)]
-    assert decide_beam_order(Turns(replace(scans[0], stamp=scan.stamp) for scan in scans)).order is None
-    assert decide_beam_order(Turns(drivers.open("sim:corridor?duration=15&lidar=short"))).order is None
-    assert decide_beam_order(Turns([])).order is None
+    assert decide_beam_order(Turns(replace(scans[0], stamp=scan.stamp) for scan in scans)).times is None
+    assert decide_beam_order(Turns(drivers.open("sim:corridor?duration=15&lidar=short"))).times is None
+    assert decide_beam_order(Turns([])).times is None
+
+
+def test_a_turn_lasts_its_time_also_for_part_of_the_view() -> None:
+    half = Scan(0.0, np.ones(91), np.radians(np.linspace(-45.0, 45.0, 91)), np.zeros(91), 0.1, 10.0)
+    offsets = BeamTimes(0.2).of(half).time_offsets
+    np.testing.assert_allclose(offsets, np.linspace(0.0, 0.05, 91), atol=1e-12)
+    np.testing.assert_allclose(BeamTimes(0.2, reversed=True).of(half).time_offsets, offsets[::-1], atol=1e-12)
+    assert STATED.of(half) is half
 
 
 def test_reversed_times_cover_the_same_sweep() -> None:
@@ -77,7 +129,19 @@ def test_recording_is_corrected_unless_an_order_is_set(tmp_path: Path) -> None:
     assert report.skipped == 0
 
 
+def test_a_recording_that_states_no_times_is_read_with_those_of_a_turn(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in with_offsets(office_drive(), 0.0):
+            writer.write(message)
+    assert offsets_of(path, "auto")[-1] == pytest.approx(1.0 / RATE, rel=0.01)
+    assert not offsets_of(path, "forward").any()
+    (correction,) = RecordingTiming.of(drivers.open(path)).corrections()
+    text = "beams measured over counter-clockwise turns of 0.182 s though no times are stated, by "
+    assert correction.startswith(text)
+
+
 def test_public_recording_with_reversed_times_is_recognised() -> None:
     reader = drivers.source_factory.recording_of(drivers.open(dataset_file("turtlebot4/bag")))
     assert reader is not None
-    assert reader.beams_reversed
+    assert reader.beam_times == BeamTimes(reversed=True)

@@ -24,6 +24,16 @@ def test_known_delay_is_found_within_three_standard_deviations(seed: int, second
     assert (delay.objection is None) == (abs(seconds) > 0.1)  # less is not significant
 
 
+def test_gaps_of_the_odometry_do_not_hide_a_delay() -> None:
+    late = with_late_scans(office_drive(), 0.4)
+    start = late[0].stamp
+    gappy = [m for m in late if isinstance(m, Scan) or (m.stamp - start) % 10.0 > 0.8]
+    delay = estimate_delay(Turns(gappy))
+    assert delay is not None
+    assert delay.objection is None
+    assert abs(delay.seconds - 0.4) < 3.0 * delay.sigma
+
+
 def test_drive_without_turns_does_not_determine_a_delay() -> None:
     delay = estimate_delay(Turns(drivers.open("sim:corridor?duration=15&lidar=short")))
     assert delay is None or delay.objection is not None

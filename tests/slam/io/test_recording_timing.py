@@ -89,7 +89,7 @@ def test_settings_take_precedence(wrong_recording: Path) -> None:
     config = load_config(None, ["lidar.beam_order=forward", "lidar.delay=0"])
     source = drivers.open(wrong_recording, config.lidar.beam_order)
     timing = RecordingTiming.of(source, config.lidar)
-    assert not timing.beams_reversed
+    assert timing.beam_times.as_stated
     assert timing.used_delay == 0.0
     assert timing.compensated(config) == config
 

@@ -1,0 +1,37 @@
+"""When the beams of a scan were measured: as the recording states, or as a lidar that turns steadily measures them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..messages import Scan, with_reversed_times
+
+
+@dataclass(frozen=True, slots=True)
+class BeamTimes:
+    """Times of the beams within a sweep.
+
+    turn      seconds in which the lidar turns once, so that the beams are measured one after the other by their
+              angles; 0 if all are measured at once; None if their times are as stated
+    reversed  if the beams are measured in the opposite of the stated order; with a turn, if clockwise
+    """
+
+    turn: float | None = None
+    reversed: bool = False
+
+    @property
+    def as_stated(self) -> bool:
+        """True if scans are not changed."""
+        return self.turn is None and not self.reversed
+
+    def of(self, scan: Scan) -> Scan:
+        """Return a scan with these times."""
+        if self.turn is not None and len(scan.angles):
+            turned = (scan.angles - scan.angles[0]) / (2.0 * np.pi)
+            scan = replace(scan, time_offsets=self.turn * turned)
+        return with_reversed_times(scan) if self.reversed else scan
+
+
+STATED = BeamTimes()
