@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.messages import Scan
@@ -30,12 +31,14 @@ from slam.evaluation.benchmarks.lookalike import (
 from slam.evaluation.benchmarks.loop_scoring import ScoredDecision
 from slam.evaluation.rates import upper_limit
 from slam.geometry.segments import Segments
+from slam.localisation.local_field import LocalField
 from slam.loop_closure import agreement
 from slam.loop_closure.decision import LoopDecision
 from slam.loop_closure.look import Look
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.submap_search import Submap, SubmapMatch, are_distinct, build_submap, improve
 from slam.loop_closure.votes import Search, Vote, find_votes
+from slam.mapping.mapper import Mapper
 from slam.matching.point_matcher import POINT_SPACING, SEARCH_FIT
 from slam.matching.scan_points import surface_points
 from slam.recognition.loop_evidence import check_evidence
@@ -127,19 +130,28 @@ def test_no_wrong_closure_is_accepted_between_similar_places(
     assert not result.wrong
 
 
-def test_looks_that_agree_on_a_wrong_door_close_no_loop(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eight looks agree on a place 3 m off, one of equal doors; the evidence for the right one is as large."""
-    rejected: list[str] = []
+def test_the_evidence_of_a_drive_rejects_the_next_door(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looks find one of equal doors, 3 m apart. Had they agreed on the next one, the loop would not be closed."""
+    decisions: list[tuple[LoopDecision, LoopDecision, LoopDecision]] = []
 
-    def recorded(*arguments: Any) -> LoopDecision:
-        decision = check_evidence(*arguments)
-        rejected.extend([decision.reason] if decision.status is LoopStatus.REJECTED else [])
-        return decision
+    def compared(mapper: Mapper, field: LocalField, decision: LoopDecision, among: NDArray[np.bool_]) -> LoopDecision:
+        at_next_doors = (
+            replace(decision, correction=se2.compose(np.array([along, 0.0, 0.0]), decision.correction))
+            for along in (-3.0, 3.0)  # the corridor is along x of the map
+        )
+        before, behind = (check_evidence(mapper, field, other, among) for other in at_next_doors)
+        found = check_evidence(mapper, field, decision, among)
+        decisions.append((before, found, behind))
+        return found
 
-    monkeypatch.setattr("slam.estimation.loop_update.check_evidence", recorded)
-    assert not run_world("equal_doors", 8771).wrong
-    assert rejected, "looks did not agree, so this proves nothing"
-    assert "fits in several places" in rejected[0]
+    monkeypatch.setattr("slam.estimation.loop_update.check_evidence", compared)
+    result = run_world("equal_doors", 8707)
+    assert not result.wrong
+    assert decisions, "looks did not agree, so this proves nothing"
+    for before, found, behind in decisions:
+        assert found.status is LoopStatus.CONFIRMED
+        assert before.status is behind.status is LoopStatus.REJECTED
+        assert before.reason.startswith("the drive as a whole does not fit there")
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
