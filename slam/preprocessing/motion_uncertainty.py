@@ -14,8 +14,8 @@ the line, the motion moves it across the line by e(s_k) t'p_k + s_k n'b:
 
     [d, h] = sum_k g_k (e(s_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
 
-This is linear in b and in the steps of the random walk, of which there are some on either side of the middle. With the
-responses R_i (2, m) of segment i to one standard deviation of each, segments i and j share the covariance
+This is linear in b and in the steps of the random walk, STEPS on either side of the middle. With the responses R_i
+(2, m) of segment i, its changes by one standard deviation of each of these errors, segments i and j share the covariance
 
     K_ij = R_i R_j'
 
@@ -48,8 +48,8 @@ from .deskew import DeskewedScan
 if TYPE_CHECKING:
     from features.types import Lines, Noise
 
-# Steps of the random walk from the middle of a sweep to either end. Origin: numerical, covariances change by less than
-# a hundredth with more.
+# Steps of the random walk from the middle of a sweep to either end. Origin: numerical, with 64 the variances of walls of
+# a room differ by less than a hundredth in the median, and by 9 % at most.
 STEPS = 16
 # Iterations of the factor, which the information of the segments depends on. Origin: numerical, it changes by less than
 # a hundredth after that.
@@ -115,9 +115,10 @@ def _segment_responses(
 
 @compiled
 def _unit_responses(frames, half_lengths, first, last, bearings, travel, mount, variances, reach, fitted):  # type: ignore[no-untyped-def]
-    """Return what each step of the heading (n, 2, 2 STEPS), and n'b (n, 2), change in offset and heading of a segment.
+    """Return the changes of offset and heading of each segment by a unit of each error.
 
-    All beams from the `first` to the `last` one of a segment count as beams on it.
+    By each step of the heading (n, 2, 2 STEPS), radians, and by the component n'b (n, 2) of the position. All beams
+    from the `first` to the `last` one of a segment count as beams on it.
 
     frames     (n, 3) of the segments in the base's frame
     travel     (p,) metres from the middle of the sweep, negative before it
@@ -186,7 +187,7 @@ def _weight_and_place(frame, half_length, bearing, mount, variances):  # type: i
 
 @compiled
 def _share_in_fit(travel, fitted):  # type: ignore[no-untyped-def]
-    """Return p of the module's documentation: the part of a step of the random walk in the middle of the parabola."""
+    """Return p of the module's documentation: the share of a step of the random walk in the middle of the parabola."""
     if travel >= fitted:
         return 0.0
     part = travel / fitted
