@@ -14,8 +14,9 @@ the line, the motion moves it across the line by e(s_k) t'p_k + s_k n'b:
 
     [d, h] = sum_k g_k (e(s_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
 
-This is linear in b and in the steps of the random walk, STEPS on either side of the middle. With the responses R_i
-(2, m) of segment i, its changes by one standard deviation of each of these errors, segments i and j share the covariance
+This is linear in b and in the steps of the random walk, STEPS on either side of the middle. Let the responses R_i
+(2, m) of segment i be its changes by one standard deviation of each of these errors. Segments i and j share the
+covariance
 
     K_ij = R_i R_j'
 
@@ -48,8 +49,8 @@ from .deskew import DeskewedScan
 if TYPE_CHECKING:
     from features.types import Lines, Noise
 
-# Steps of the random walk from the middle of a sweep to either end. Origin: numerical, with 64 the variances of walls of
-# a room differ by less than a hundredth in the median, and by 9 % at most.
+# Steps of the random walk from the middle of a sweep to either end. Origin: numerical, with 64 the variances of the
+# walls of a room differ by less than a hundredth in the median, and by 9 % at most.
 STEPS = 16
 # Iterations of the factor, which the information of the segments depends on. Origin: numerical, it changes by less than
 # a hundredth after that.
