@@ -106,7 +106,7 @@ class RecordingTiming:
         """Return what was measured and needs no correction, as lines of text."""
         lines = []
         test = self.order_test
-        if test is not None and test.stated_sweep > 0.0 and self.beam_times.as_stated:
+        if test is not None and test.pairs and test.stated_sweep > 0.0 and self.beam_times.as_stated:
             lines.append(f"beams in the stated order{_evidence(test)}")
         if self.delay is not None and self.delay.objection is not None:
             lines.append(f"{_late(self.delay.seconds, self.delay)}; not compensated: {self.delay.objection}")

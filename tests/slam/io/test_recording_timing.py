@@ -135,6 +135,15 @@ def test_info_states_the_settings_that_correct_the_same_live(recording_without_t
         np.testing.assert_allclose(scan.time_offsets, as_found.time_offsets, atol=1e-4)
 
 
+def test_nothing_is_said_of_the_beams_of_a_robot_that_stands(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    scans = scans_of(drivers.open("sim:room?duration=5"))
+    with McapWriter(path) as writer:
+        for k in range(50):
+            writer.write(replace(scans[0], stamp=scans[0].stamp + 0.1 * k))
+    assert RecordingTiming.of(drivers.open(path)).findings() == []
+
+
 def test_nothing_is_to_be_set_if_nothing_is_corrected() -> None:
     assert RecordingTiming.of(drivers.open("sim:room")).settings() == []
     assert "live, ros" not in CliRunner().invoke(app, ["info", "sim:room?duration=2"]).output
