@@ -141,10 +141,10 @@ class RecordingReader(ABC):
             return None
         return self.odometry_turns.reason_to_mirror()
 
-    @cached_property
+    @property
     def has_scans(self) -> bool:
-        """True if the recording contains a scan; reading ends at the first one."""
-        return any(isinstance(message, Scan) for message in self._survey_messages())
+        """True if the recording contains a scan."""
+        return self._turns_as_recorded.scans > 0
 
     def check_scans(self) -> None:
         """Raise RecordingError, which names what is there instead, if the recording has no scan."""
