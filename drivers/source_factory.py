@@ -16,7 +16,7 @@ from .recordings.replay import Replay
 from .recordings.two_lidars import TwoLidarRecording
 
 if TYPE_CHECKING:
-    from .timing.beam_order import BeamOrder
+    from .timing.beam_times import BeamOrder
 
 SUPPORTED = (
     "CARMEN logs (.clf, .log, .carmen, .txt, .gz), MCAP files (.mcap), "
@@ -44,12 +44,15 @@ class LidarSelection:
     beam_order  order in which its beams were measured: as stated (forward), reversed, or with auto reversed if its
                 scans fit together significantly better then
     cut_height, cut_thickness  layer of point clouds that is a scan, metres; see `HeightCut`
+    turn_period seconds in which it turns once, 0 if it measures all beams at once; None: as stated, or with auto as its
+                scans show
     """
 
     topic: str = ""
     beam_order: BeamOrder = "auto"
     cut_height: float | None = None
     cut_thickness: float = 0.2
+    turn_period: float | None = None
 
 
 def open(
@@ -82,8 +85,10 @@ def open(
 
 def _select(spec: str | Path, reader: RecordingReader | None, lidar: LidarSelection) -> None:
     """Set which scans a reader reads, and how; raises RecordingError if a topic is named that it cannot have."""
+    from .timing.beam_times import set_beam_times
+
     if reader is not None:
-        reader.beam_order = lidar.beam_order
+        reader.set_beam_times = set_beam_times(lidar.beam_order, lidar.turn_period)
         reader.select_scans(lidar.topic, lidar.cut_height, lidar.cut_thickness)
     elif lidar.topic:
         raise RecordingError(spec, None, f"has no topics, so none is named {lidar.topic}")

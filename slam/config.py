@@ -59,8 +59,16 @@ class LidarConfig(_Group):
 
     beam_order: Literal["auto", "forward", "reversed"] = Field(
         "auto",
-        description="order of the beams' times in a recording: 'forward' as it states them, 'reversed', or 'auto' to "
-        "decide from the scans",
+        description="order of the beams' times: 'forward' as they are stated, 'reversed', or 'auto': in a recording as "
+        "its scans show, else as stated",
+    )
+    turn_period: Finite | None = Field(
+        None,
+        ge=0,
+        lt=10,
+        description="seconds in which the lidar turns once, if the times of beams are stated wrongly or not at all: "
+        "they are then measured one after the other by their angles, counter-clockwise, or clockwise if beam_order is "
+        "'reversed'; 0: all at once. By default as stated, in a recording as its scans show",
     )
     delay: float | None = Field(
         None,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import RecordingError
-from ..messages import GroundTruth, Message, Scan, SourceReport, mirrored
+from ..messages import Message, Odometry, Scan, SourceReport, mirrored
 from .copies import without_copies
 from .frozen_odometry import FrozenOdometryDetector
 from .odometry_speed import OdometrySpeed
@@ -21,7 +21,7 @@ from .stamp_units import in_seconds
 from .time_ordering import order_by_time
 
 if TYPE_CHECKING:
-    from ..timing.beam_order import BeamOrder, BeamOrderTest
+    from ..timing.beam_order import BeamOrderTest
     from ..timing.beam_times import BeamTimes
     from ..timing.delay import Delay
     from ..timing.gyroscope_scale import GyroscopeScale
@@ -48,7 +48,7 @@ class RecordingReader(ABC):
     A subclass yields the messages in the file's order from `_read` and calls `skip` for entries that it omits. Raises
     RecordingError on construction if the path does not exist, and on iteration if there is no scan and no odometry.
 
-    beam_order         order of the beams' times: as stated, reversed, or decided from the scans
+    set_beam_times     times of the beams that a user has set; None: they are decided from the scans
     states_beam_times  if the format has a place for them
     """
 
@@ -58,7 +58,7 @@ class RecordingReader(ABC):
         self.path = Path(path)
         self.name = self.path.name
         self.report = SourceReport()
-        self.beam_order: BeamOrder = "auto"
+        self.set_beam_times: BeamTimes | None = None
         self._survey: _Survey | None = None
         if not self.path.exists():
             raise RecordingError(self.path, None, "no such file or directory")
@@ -98,17 +98,17 @@ class RecordingReader(ABC):
     @property
     def beam_times(self) -> BeamTimes:
         """Times that the beams have when the recording is read."""
-        from ..timing.beam_times import STATED, BeamTimes
+        from ..timing.beam_times import STATED
 
-        if self.beam_order != "auto":
-            return BeamTimes(reversed=self.beam_order == "reversed")
+        if self.set_beam_times is not None:
+            return self.set_beam_times
         test = self.beam_order_test
         return STATED if test is None or test.times is None else test.times
 
     @cached_property
     def beam_order_test(self) -> BeamOrderTest | None:
         """Comparison of times of the beams; None if the format has none, or the recording no scans."""
-        if not self.states_beam_times or not any(isinstance(message, Scan) for message in self._survey_messages()):
+        if not self.states_beam_times or not self.has_scans:
             return None
         from ..timing.beam_order import decide_beam_order
 
@@ -140,6 +140,16 @@ class RecordingReader(ABC):
         if first is None or first.mount is not None or self.odometry_turns is None:
             return None
         return self.odometry_turns.reason_to_mirror()
+
+    @property
+    def has_scans(self) -> bool:
+        """True if the recording contains a scan."""
+        return self._turns_as_recorded.scans > 0
+
+    def check_scans(self) -> None:
+        """Raise RecordingError, which names what is there instead, if the recording has no scan."""
+        if not self.has_scans:
+            raise RecordingError(self.path, None, self._reason_without_scans())
 
     @property
     def has_odometry(self) -> bool:
@@ -230,7 +240,7 @@ class RecordingReader(ABC):
         found = False
         try:
             for message in without_copies(order_by_time(in_seconds(self._read(), self), self), self):
-                found = found or not isinstance(message, GroundTruth)
+                found = found or isinstance(message, Scan | Odometry)
                 yield message
         except OSError as error:
             raise self._read_error(error) from error
@@ -276,6 +286,10 @@ class RecordingReader(ABC):
     def _empty_reason(self) -> str:
         """Return the error text for a recording without a usable message."""
         return "contains no laser scan and no odometry"
+
+    def _reason_without_scans(self) -> str:
+        """Return the error text for a recording without a scan."""
+        return "contains no laser scan, so there is nothing to map"
 
 
 def _taken_from(messages: deque[Message]) -> Iterator[Message]:

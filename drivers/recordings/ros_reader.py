@@ -109,6 +109,8 @@ class RosReader(RecordingReader):
         scans, reason = self._chosen_scan_topic
         if reason is not None:
             self.interpret(reason)
+        if scans is None:
+            self.doubt(self._reason_without_scans())
         odometry = self._odometry
         self.report.scan_topic, self.report.odometry_topic = scans, odometry.topic
         if odometry.frames is not None:
@@ -294,12 +296,18 @@ class RosReader(RecordingReader):
         return IMU in self._contents.counts
 
     def _empty_reason(self) -> str:
-        reason = f"contains no readable {LASER_SCAN} and no {ODOMETRY}"
+        return f"contains no readable {LASER_SCAN} and no {ODOMETRY}{self._topics()}"
+
+    def _reason_without_scans(self) -> str:
+        return f"contains no readable {LASER_SCAN}{self._topics()}"
+
+    def _topics(self) -> str:
+        """Return the topics of the recording as the end of a line of text, empty if none is known."""
         topics = [f"{topic} ({msgtype})" for topic, msgtype in sorted(self._stored_topics.items())]
         if not topics:
-            return reason
+            return ""
         more = len(topics) - SHOWN_TOPICS
-        return f"{reason}; its topics are {', '.join(topics[:SHOWN_TOPICS])}{f' and {more} more' if more > 0 else ''}"
+        return f"; its topics are {', '.join(topics[:SHOWN_TOPICS])}{f' and {more} more' if more > 0 else ''}"
 
 
 def _describe(cut: HeightCut) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..recordings.point_clouds import HeightCut
+from ..timing.beam_times import STATED, BeamTimes
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,6 +23,7 @@ class Inputs:
     initial_pose    topic with poses that a user sets, of type PoseWithCovarianceStamped; empty: none
     imu             topic with a gyroscope's rates, of type Imu; empty: none
     throttle_scans  only every so many-th scan is used
+    beam_times      times of the beams that a user has set; likewise second_beam_times
     """
 
     scan: str = "/scan"
@@ -41,6 +43,8 @@ class Inputs:
     second_mount_is_set: bool = False
     throttle_scans: int = 1
     uses_odometry: bool = True
+    beam_times: BeamTimes = STATED
+    second_beam_times: BeamTimes = STATED
 
     @property
     def scan_topics(self) -> list[str]:

@@ -244,7 +244,8 @@ class RosReceiver:
         elif mount.pose is None and not is_set:
             self._skip(NO_MOUNT)
         else:
-            self._put(replace(self._scan_of(message, received, mount), lidar=lidar))
+            times = self.inputs.second_beam_times if lidar else self.inputs.beam_times
+            self._put(replace(times.of(self._scan_of(message, received, mount)), lidar=lidar))
 
     def _scan_of(self, message: Any, received: int, mount: LidarMount) -> Scan:
         if not hasattr(message, "point_step"):

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -24,8 +23,6 @@ from .beam_times import STATED, BeamTimes
 from .scan_matching import match, middle_offset, scan_points, surface
 from .student import statistic, upper_limit
 from .turns import Run, Turns
-
-BeamOrder = Literal["auto", "forward", "reversed"]
 
 # Pairs of scans that are matched, those that are bent most differently. Origin: chosen, for a second of computing.
 MAX_PAIRS = 40

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from ..messages import Scan, with_reversed_times
+
+BeamOrder = Literal["auto", "forward", "reversed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,3 +38,12 @@ class BeamTimes:
 
 
 STATED = BeamTimes()
+
+
+def set_beam_times(order: BeamOrder, turn: float | None) -> BeamTimes | None:
+    """Return the times that a user has set; None if they are left to what is stated or found.
+
+    order  of the beams; with "auto", a lidar whose turn is set turns counter-clockwise
+    turn   seconds in which the lidar turns once, 0 if it measures all beams at once; None: as stated
+    """
+    return None if order == "auto" and turn is None else BeamTimes(turn, reversed=order == "reversed")

@@ -73,6 +73,7 @@ class Turns:
     odometry     (m, 2) stamps (seconds, increasing) and unwrapped headings (radians) of the whole drive
     positions    (m, 2) of the base at these stamps, metres
     rates        (k, 2) stamps (seconds, increasing) and rates of a gyroscope as recorded
+    scans        number of scans of the drive
     scan_period  median seconds from scan to scan; 0 without two scans
     """
 
@@ -103,6 +104,7 @@ class Turns:
                 if not readings:
                     part.slowest, part.fastest = min(part.slowest, message.rate), max(part.fastest, message.rate)
         self._keep(part, measured=bool(readings or rates))
+        self.scans = len(stamps)
         self.scan_period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
         self.rates = np.array(rates).reshape(-1, 2)
         path = _strictly_increasing(np.array(readings).reshape(-1, 4))

@@ -60,7 +60,7 @@ class RecordingTiming:
         set_delay = None if lidar is None else lidar.delay
         if reader is None:
             return cls(used_delay=set_delay or 0.0)
-        test = reader.beam_order_test if lidar is None or lidar.beam_order == "auto" else None
+        test = reader.beam_order_test if reader.set_beam_times is None else None
         mount = None if lidar is None else lidar.mount
         heading = _contradicting(reader.mount_heading, mount)
         used_heading = None
@@ -106,11 +106,24 @@ class RecordingTiming:
         """Return what was measured and needs no correction, as lines of text."""
         lines = []
         test = self.order_test
-        if test is not None and test.stated_sweep > 0.0 and self.beam_times.as_stated:
+        if test is not None and test.pairs and test.stated_sweep > 0.0 and self.beam_times.as_stated:
             lines.append(f"beams in the stated order{_evidence(test)}")
         if self.delay is not None and self.delay.objection is not None:
             lines.append(f"{_late(self.delay.seconds, self.delay)}; not compensated: {self.delay.objection}")
         return lines
+
+    def settings(self) -> list[str]:
+        """Return settings that correct the same live, which cannot look ahead, as `lidar.delay=0.1650`."""
+        times, settings = self.beam_times, []
+        if times.reversed:
+            settings.append("lidar.beam_order=reversed")
+        if times.turn is not None:
+            settings.append(f"lidar.turn_period={times.turn:.4g}")
+        if self.used_delay:
+            settings.append(f"lidar.delay={self.used_delay:.4f}")
+        if self.used_heading is not None:
+            settings.append(f"lidar.mount=[0,0,{self.used_heading:.4f}]")
+        return settings
 
     def corrections(self) -> list[str]:
         """Return what `wclm run` corrects, as lines of text."""
@@ -164,12 +177,13 @@ def _described(times: BeamTimes, test: BeamOrderTest | None) -> str:
     """Return when beams are measured, in contrast to the stated times, as the beginning of a line of text."""
     if times.turn is None:
         return "beams in the opposite of the stated order"
-    stated = 0.0 if test is None else test.stated_sweep
-    contrast = f"instead of in the stated {stated:.3g} s" if stated > 0.0 else "though no times are stated"
-    if times.turn == 0.0:
-        return f"beams measured all at once {contrast}"
     direction = "clockwise" if times.reversed else "counter-clockwise"
-    return f"beams measured over {direction} turns of {times.turn:.3f} s {contrast}"
+    measured = "all at once" if times.turn == 0.0 else f"over {direction} turns of {times.turn:.3f} s"
+    if test is None:
+        return f"beams measured {measured}, as set"
+    stated = test.stated_sweep
+    contrast = f"instead of in the stated {stated:.3g} s" if stated > 0.0 else "though no times are stated"
+    return f"beams measured {measured} {contrast}"
 
 
 def _evidence(test: BeamOrderTest | None) -> str:

@@ -26,6 +26,13 @@ def absolute_recording(recording: str) -> str:
     return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
 
 
+def check_scans(source: Source) -> None:
+    """Raise RecordingError if a recording has no scan, or cannot be read."""
+    reader = recording_of(source)
+    if reader is not None:
+        reader.check_scans()
+
+
 def reason_without_odometry(source: Source) -> str | None:
     """Return why a recording is mapped by the scans alone, as text; None if it has odometry that can be used.
 
@@ -54,7 +61,8 @@ def open_source(recording: str | Path, config: Config) -> Source:
 
 def lidar_selection(lidar: LidarConfig) -> LidarSelection:
     """Return which scans of a recording are those of a lidar with these settings, and how they are read."""
-    return LidarSelection(lidar.topic, lidar.beam_order, lidar.cut_height, lidar.cut_thickness)
+    cut = lidar.cut_height, lidar.cut_thickness
+    return LidarSelection(lidar.topic, lidar.beam_order, *cut, lidar.turn_period)
 
 
 def has_recording(results: RunResults) -> bool:

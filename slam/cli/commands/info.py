@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Annotated
 
@@ -66,6 +67,8 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))
     rows += [("read as", text) for text in [*found.report.interpretations, *timing.corrections()]]
+    if settings := timing.settings():
+        rows.append(("live, ros", " ".join(f"--set {shlex.quote(setting)}" for setting in settings)))
     rows += [("warning", text) for text in [*timing.doubts(), *found.warnings]]
     return [printable(line) for line in [found.name, *(f"  {name:<12}{text}" for name, text in rows)]]
 

@@ -50,6 +50,7 @@ class LiveInput:
     ) -> None:
         from drivers.devices.acquisition import Acquisition
         from drivers.messages import SourceReport
+        from drivers.timing.beam_times import STATED
 
         from ...pose_extrapolation import PoseExtrapolator
         from ..teleoperation import HELP, Teleoperation
@@ -71,6 +72,7 @@ class LiveInput:
         if driving is not None:
             controls.keys.add(Teleoperation(self._acquisition, driving).handle)
         self._extrapolator = PoseExtrapolator()
+        self._beam_times = STATED
         self.sinks: Sequence[Sink] = (self._dashboard, self._extrapolator, *([] if status is None else [status]))
 
     @contextmanager
@@ -100,8 +102,11 @@ class LiveInput:
         return absolute_recording(self._recorded["file"]) if self._recorded and not self._recorded["problem"] else None
 
     def resolve(self, config: Config) -> Config:
-        """Return the settings unchanged: devices state the times of their measurements."""
+        """Return the settings unchanged: devices state the times of their measurements, or the settings do."""
+        from drivers.timing.beam_times import STATED, set_beam_times
+
         self._extrapolator.delay = config.lidar.delay or 0.0
+        self._beam_times = set_beam_times(config.lidar.beam_order, config.lidar.turn_period) or STATED
         return config
 
     def facts(self) -> dict[str, Any]:
@@ -132,6 +137,7 @@ class LiveInput:
     def _messages(self, pump: MessagePump, idle: Callable[[], None]) -> Iterator[Message]:
         from drivers.devices.device_source import count_losses
         from drivers.errors import DriverError
+        from drivers.messages import Scan
 
         from ..acquisition_loop import receive_messages
         from ..device_monitor import DeviceMonitor
@@ -151,7 +157,7 @@ class LiveInput:
             try:
                 for message in receive_messages(pump, self._duration, after_each):
                     self.report.messages += 1
-                    yield message
+                    yield self._beam_times.of(message) if isinstance(message, Scan) else message
             except DriverError as error:
                 self.failure = error
             self._check_recording(self._acquisition.snapshot)

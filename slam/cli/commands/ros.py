@@ -44,7 +44,9 @@ if TYPE_CHECKING:
     from drivers.ros2.link import Link
     from drivers.ros2.names import NodeNames
     from drivers.ros2.wheel_base import RosWheelBase
+    from drivers.timing.beam_times import BeamTimes
 
+    from ...config import LidarConfig
     from ...ros.parameters import NodeParameters
     from ..plan_input import PlanOptions
     from ..run_setup import RunSetup
@@ -220,7 +222,16 @@ def _inputs(names: NodeNames, parameters: NodeParameters, start: RunSetup, base:
         mount_is_set=start.config.lidar.mount is not None,
         second_mount_is_set=start.config.second_lidar.mount is not None,
         throttle_scans=parameters.throttle_scans,
+        beam_times=_beam_times(start.config.lidar),
+        second_beam_times=_beam_times(start.config.second_lidar),
     )
+
+
+def _beam_times(lidar: LidarConfig) -> BeamTimes:
+    """Return the times of a lidar's beams, as set or as stated."""
+    from drivers.timing.beam_times import STATED, set_beam_times
+
+    return set_beam_times(lidar.beam_order, lidar.turn_period) or STATED
 
 
 def _start(link: Link, names: NodeNames, parameters: NodeParameters, start: RunSetup, base: OwnBase | None) -> RosNode:

@@ -46,7 +46,7 @@ def run(
 
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
-    from ...io.recordings import absolute_recording, open_source, reason_without_odometry
+    from ...io.recordings import absolute_recording, check_scans, open_source, reason_without_odometry
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
     from ..run_setup import prepare_run, without_odometry
@@ -57,6 +57,7 @@ def run(
         continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())
     )
     source = open_source(recording, start.config)
+    check_scans(source)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
     elif start.config.odometry.source != "none" and (reason := reason_without_odometry(source)) is not None:

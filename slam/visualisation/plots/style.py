@@ -38,6 +38,8 @@ MAX_GRID_LINES = 14
 """Along the longer side, approximately."""
 GRID_STEPS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 POINTS_PER_INCH = 72
+TITLE_SIZE = 13
+"""Points."""
 SCALE_BAR_BELOW = 30
 LEGEND_BELOW = 38
 """Distances below the axes, points (1/72 inch)."""
@@ -59,12 +61,12 @@ def metric_figure(bounds: Floats, title: str, subtitle: str) -> tuple[Figure, Ax
     margin = MARGIN * extent.max()
     width, height = extent + 2 * margin
     inches = MAX_SIDE / max(width, height)
-    size = max(width * inches, MIN_SIDE), max(height * inches, MIN_SIDE)
+    size = max(width * inches, MIN_SIDE, _width(title)), max(height * inches, MIN_SIDE)
     figure = Figure(figsize=(size[0] + 0.8, size[1] + 1.6), dpi=DOTS_PER_INCH, layout="constrained")
     axes = figure.add_subplot()
     axes.set_xlim(low[0] - margin, high[0] + margin)
     axes.set_ylim(low[1] - margin, high[1] + margin)
-    axes.set_aspect("equal", adjustable="box")
+    axes.set_aspect("equal", adjustable="box", anchor="W")
     step = next((s for s in GRID_STEPS if max(width, height) / s <= MAX_GRID_LINES), GRID_STEPS[-1])
     axes.xaxis.set_major_locator(MultipleLocator(step))
     axes.yaxis.set_major_locator(MultipleLocator(step))
@@ -92,10 +94,19 @@ def add_titles(axes: Axes, title: str, subtitle: str) -> None:
         xycoords="axes fraction",
         xytext=(0, 24),
         textcoords="offset points",
-        fontsize=13,
+        fontsize=TITLE_SIZE,
         fontweight="bold",
         color=INK,
     )
+
+
+def _width(title: str) -> float:
+    """Return the width of a title, inches: without room for a long one, the layout leaves none for the axes."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import TextPath
+
+    outline = TextPath((0.0, 0.0), title, size=TITLE_SIZE, prop=FontProperties(weight="bold"))
+    return float(outline.get_extents().width) / POINTS_PER_INCH if title.strip() else 0.0
 
 
 def _scale_bar(axes: Axes, length: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sqlite3
 from collections.abc import Callable
 from contextlib import closing
@@ -13,11 +14,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
 import drivers
 from drivers import Message, Odometry, RecordingError, Scan
+from drivers.messages import YawRate
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import (
+    IMU,
     LASER_SCAN,
     ODOMETRY,
     TRANSFORMS,
@@ -29,6 +33,8 @@ from drivers.recordings.ros_messages import (
 )
 from drivers.recordings.rosbag import BagReader
 from drivers.recordings.transforms import TransformTree
+from slam.cli.app import app
+from slam.cli.console import EXIT_USER_ERROR
 
 Stored = tuple[str, str, int, bytes]
 WriteBag = Callable[[Path, list[Stored]], Path]
@@ -213,6 +219,25 @@ def test_bag_without_scans_and_odometry_is_an_error(tmp_path: Path, write_bag: W
     path = write_bag(tmp_path / "bag", [transform("base_link", "laser", (0, 0, 0), UPRIGHT)])
     with pytest.raises(RecordingError, match=r"contains no readable .*; its topics are /tf_static \(tf2_msgs/msg/TFM"):
         list(BagReader(path))
+
+
+def test_bag_with_a_gyroscope_alone_is_an_error(tmp_path: Path, write_bag: WriteBag) -> None:
+    rate = RosEncoder().yaw_rate(YawRate(1.0, 0.1))
+    path = write_bag(tmp_path / "bag", [("/imu", IMU, 10**9, rate)])
+    with pytest.raises(RecordingError, match=r"contains no readable .*; its topics are /imu \(sensor_msgs/msg/Imu\)"):
+        list(BagReader(path))
+
+
+def test_topics_are_named_if_none_has_scans(tmp_path: Path, write_bag: WriteBag) -> None:
+    odometry = RosEncoder().odometry(Odometry(1.0, np.zeros(3)))
+    path = write_bag(tmp_path / "bag", [("/odom", ODOMETRY, 10**9, odometry)])
+    reason = r"contains no readable sensor_msgs/msg/LaserScan; its topics are /odom \(nav_msgs/msg/Odometry\)"
+    (warning,) = (text for text in drivers.inspect(drivers.open(path)).warnings if "topics" in text)
+    assert re.fullmatch(reason, warning)
+    result = CliRunner().invoke(app, ["run", str(path), "--out", str(tmp_path / "out")])
+    assert result.exit_code == EXIT_USER_ERROR
+    assert re.search(reason, result.output)
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("content", [b"", b"#ROSBAG V2.0\n", b"#ROSBAG V2.0\n" + b"\xff" * 5000, b"\x00" * 5000])

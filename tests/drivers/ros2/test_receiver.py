@@ -13,6 +13,7 @@ from drivers.ros2 import receiver as receiver_module
 from drivers.ros2.inputs import Inputs
 from drivers.ros2.link import STATIC_TRANSFORMS, QoS
 from drivers.ros2.receiver import LATE, MAX_WAITING_SCANS, NO_MOUNT, PAUSED, TOO_SLOW, RosReceiver
+from drivers.timing.beam_times import BeamTimes
 
 from ...memory_link import MemoryLink
 
@@ -98,6 +99,20 @@ def test_odometry_messages_take_the_place_of_transforms(link: MemoryLink, robot:
     robot.odometry(2.0, np.array([1.0, 0.0, 0.0]))
     assert messages(receiver) == readings
     assert [reading.stamp for reading in readings] == [2.0]
+
+
+def test_beams_of_each_lidar_have_the_times_that_are_set(link: MemoryLink, robot: Robot) -> None:
+    second = Robot(link, "/rear")
+    robot.mount("base_footprint", "laser", MOUNT)
+    turning = BeamTimes(0.2, reversed=True)
+    receiver = RosReceiver(link, Inputs(second_scan="/rear", second_beam_times=turning))
+    robot.scan(1.0)
+    second.scan(1.0)
+    first, other = messages(receiver)
+    assert isinstance(first, Scan)
+    assert isinstance(other, Scan)
+    assert not first.time_offsets.any()
+    np.testing.assert_allclose(other.time_offsets, 0.1 / np.pi * np.linspace(2.0, 0.0, 5), atol=1e-7)
 
 
 def test_scans_wait_for_their_transform(link: MemoryLink, robot: Robot) -> None:

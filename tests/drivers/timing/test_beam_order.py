@@ -14,7 +14,7 @@ from drivers.messages import Message, Odometry, Scan, with_reversed_times
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from drivers.timing.beam_order import decide_beam_order
-from drivers.timing.beam_times import STATED, BeamTimes
+from drivers.timing.beam_times import STATED, BeamTimes, set_beam_times
 from drivers.timing.turns import Turns
 from slam.io.recording_timing import RecordingTiming
 
@@ -108,6 +108,13 @@ def test_reversed_times_cover_the_same_sweep() -> None:
     other = with_reversed_times(scan)
     np.testing.assert_allclose(other.time_offsets, scan.time_offsets[::-1], atol=1e-12)
     np.testing.assert_allclose(with_reversed_times(other).time_offsets, scan.time_offsets, atol=1e-12)
+
+
+def test_set_times_are_those_of_the_settings() -> None:
+    assert set_beam_times("auto", None) is None
+    assert set_beam_times("forward", None) == STATED
+    assert set_beam_times("auto", 0.2) == set_beam_times("forward", 0.2) == BeamTimes(0.2)
+    assert set_beam_times("reversed", 0.2) == BeamTimes(0.2, reversed=True)
 
 
 def offsets_of(path: Path, order: str) -> np.ndarray:

@@ -12,6 +12,7 @@ from drivers import se2
 from drivers.messages import Message, Odometry, Scan
 from drivers.simulation import LidarModel, Simulation, load_world
 from drivers.simulation.trajectory import follow_waypoints
+from drivers.timing.beam_times import BeamTimes
 from slam.evaluation.benchmarks.scenarios.buildings import random_building, room_with_boxes, turning_path, wide_hall
 from slam.evaluation.benchmarks.scenarios.log_variants import (
     LogVariant,
@@ -85,7 +86,7 @@ def test_defects_of_recordings_are_corrected_by_the_reader() -> None:
     for scan, before in zip(read, original, strict=True):
         np.testing.assert_array_equal(np.isnan(scan.ranges), np.isnan(before.ranges))
     with recorded(reverse_times()(iter(DRIVE), np.random.default_rng(0))) as reader:
-        reader.beam_order = "reversed"
+        reader.set_beam_times = BeamTimes(reversed=True)
         first = next(message for message in reader if isinstance(message, Scan))
     np.testing.assert_allclose(first.time_offsets, original[0].time_offsets, atol=1e-9)
 

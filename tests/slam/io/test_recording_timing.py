@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import drivers
-from drivers.messages import Message, Scan, delay_odometry, with_reversed_times
+from drivers.devices.device_spec import parse_devices
+from drivers.messages import Message, Scan, Source, delay_odometry, with_reversed_times
 from drivers.recordings import reader
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.reader import RecordingReader
+from drivers.simulation import LIDAR_MODELS
+from drivers.timing.beam_times import STATED, BeamTimes
 from drivers.timing.delay import Delay
 from slam import Slam
+from slam.cli import acquisition_loop
+from slam.cli.app import app
+from slam.cli.commands.live_input import LiveInput
+from slam.cli.message_pump import MessagePump
+from slam.cli.run_controls import RunControls
 from slam.cli.run_input import RecordingInput
 from slam.config import Config, load_config
 from slam.io.recording_timing import RecordingTiming
-from slam.io.recordings import reason_without_odometry
+from slam.io.recordings import open_source, reason_without_odometry
 
-from ...drivers.timing.drives import office_drive, with_late_scans, with_turned_lidar
+from ...drivers.timing.drives import mirrored, office_drive, with_late_scans, with_turned_lidar
 
 DELAY = 0.3
 
@@ -92,6 +102,75 @@ def test_settings_take_precedence(wrong_recording: Path) -> None:
     assert timing.beam_times.as_stated
     assert timing.used_delay == 0.0
     assert timing.compensated(config) == config
+
+
+@pytest.fixture(scope="module")
+def recording_without_times(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recording of a lidar that turns, whose scans state no times of the beams, nor a mount: it points backwards."""
+    path = tmp_path_factory.mktemp("timing") / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in with_turned_lidar(mirrored(office_drive()), np.pi):
+            timeless = isinstance(message, Scan)
+            writer.write(replace(message, time_offsets=np.zeros(len(message.ranges))) if timeless else message)
+    return path
+
+
+def test_info_states_the_settings_that_correct_the_same_live(recording_without_times: Path) -> None:
+    found = CliRunner().invoke(app, ["info", str(recording_without_times)])
+    assert found.exit_code == 0, found.output
+    (line,) = [line for line in found.output.splitlines() if line.startswith("  live, ros ")]
+    options = shlex.split(line.removeprefix("  live, ros "))
+    assert options[::2] == ["--set"] * 3
+    config = load_config(None, options[1::2])
+    assert config.lidar.beam_order == "reversed"
+    assert config.lidar.turn_period == pytest.approx(1.0 / LIDAR_MODELS["short"].rate, rel=0.01)
+    assert config.lidar.mount is not None
+    corrected = RecordingInput(drivers.open(recording_without_times), "").resolve(Config())
+    assert config.lidar.mount == pytest.approx(corrected.lidar.mount, abs=1e-4)
+
+    set_times = open_source(recording_without_times, config)
+    (described,) = RecordingTiming.of(set_times, config.lidar).corrections()
+    assert described == f"beams measured over clockwise turns of {config.lidar.turn_period:.3f} s, as set"
+    for scan, as_found in zip(scans_of(set_times), scans_of(drivers.open(recording_without_times)), strict=True):
+        np.testing.assert_allclose(scan.time_offsets, as_found.time_offsets, atol=1e-4)
+
+
+def test_nothing_is_said_of_the_beams_of_a_robot_that_stands(tmp_path: Path) -> None:
+    path = tmp_path / "drive.mcap"
+    scans = scans_of(drivers.open("sim:room?duration=5"))
+    with McapWriter(path) as writer:
+        for k in range(50):
+            writer.write(replace(scans[0], stamp=scans[0].stamp + 0.1 * k))
+    assert RecordingTiming.of(drivers.open(path)).findings() == []
+
+
+def test_nothing_is_to_be_set_if_nothing_is_corrected() -> None:
+    assert RecordingTiming.of(drivers.open("sim:room")).settings() == []
+    assert "live, ros" not in CliRunner().invoke(app, ["info", "sim:room?duration=2"]).output
+
+
+def scans_of(source: Source) -> list[Scan]:
+    return [message for message in source if isinstance(message, Scan)]
+
+
+def test_beams_of_devices_have_the_times_that_are_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Devices of this project state right times, but not each firmware is known."""
+    drive = list(drivers.open("sim:room?duration=2"))
+    monkeypatch.setattr(acquisition_loop, "receive_messages", lambda pump, duration, after_each: iter(drive))
+    live = LiveInput(parse_devices("rplidar:/dev/ttyUSB0"), None, None, None, RunControls())
+    for settings, times in (
+        ([], STATED),
+        (["lidar.turn_period=0.2", "lidar.beam_order=reversed"], BeamTimes(0.2, True)),
+    ):
+        config = load_config(None, settings)
+        assert live.resolve(config) == config
+        received = list(live._messages(MessagePump(live._acquisition, lambda message: None), lambda: None))
+        assert len(received) == len(drive)
+        for message, sent in zip(received, drive, strict=True):
+            if isinstance(message, Scan) and isinstance(sent, Scan):
+                assert np.array_equal(message.time_offsets, times.of(sent).time_offsets)
+            else:
+                assert message is sent
 
 
 def test_simulation_is_taken_as_it_is() -> None:

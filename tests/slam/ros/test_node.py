@@ -388,6 +388,18 @@ def test_two_lidars_as_in_a_recording(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "online" / SUMMARY).read_text())["slam"]["second_lidar"]["joined"] == 79
 
 
+def test_times_of_beams_are_set_as_for_a_recording(node_run: NodeRun, tmp_path: Path) -> None:
+    recording, link = node_run.offline.parent / "office.mcap", MemoryLink()
+    settings = ["--set", "lidar.turn_period=0.05", "--set", "lidar.beam_order=reversed"]
+    arguments = ["run", str(recording), "--out", str(tmp_path / "offline"), "--no-review", *settings]
+    offline = CliRunner().invoke(app, arguments)
+    assert offline.exit_code == 0, offline.output
+    run_node(link, robot_messages(recording), tmp_path / "online", {}, options=settings)
+    trajectory = (tmp_path / "online" / TRAJECTORY).read_bytes()
+    assert trajectory == (tmp_path / "offline" / TRAJECTORY).read_bytes()
+    assert trajectory != (node_run.offline / TRAJECTORY).read_bytes()
+
+
 def test_a_plan_helps_mapping_and_gives_the_frame(tmp_path: Path) -> None:
     recording, plan, link = tmp_path / "drive.mcap", tmp_path / "room.geojson", MemoryLink()
     walls = load_world("room").segments.reshape(-1, 2, 2)
