@@ -20,7 +20,6 @@ from .estimation.stage_timer import StageTimer
 from .events import Finished, GroundTruthReceived, ModeChanged, Notice, Sink
 from .geometry.segments import Floats
 from .localisation.state import LocalisationEvent, LocalisationState
-from .localisation_report import LocalisationReport
 from .loop_closure.agreement import LoopAgreement
 from .mapping.convergence import converge
 from .mapping.map_features import MapCorners, MapWalls
@@ -28,14 +27,14 @@ from .mapping.plan_map import VIEWS_END, PlanMap
 from .odometry.motion_source import MotionSource
 from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
-from .publisher import Publisher
 from .recognition.location import STATED
+from .reporting.localisation_report import LocalisationReport
+from .reporting.publisher import Publisher
+from .reporting.run_statistics import RunStatistics, run_summary
+from .reporting.scan_report import ScanReport
 from .run_end import check_run, is_unknown_place, map_alone, settle_plan, settle_trajectory
-from .run_session import RunSession
-from .run_snapshot import RunSnapshot
+from .run_session import RunSession, RunSnapshot
 from .run_start import continued_state, new_state, start_journal, start_preprocessor
-from .run_statistics import RunStatistics, run_summary
-from .scan_report import ScanReport
 
 if TYPE_CHECKING:
     from .io.sessions import StoredSession

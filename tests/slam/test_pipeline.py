@@ -155,8 +155,9 @@ def test_sinks_receive_what_they_handle_and_the_rest_is_not_built(
     def fail(*_: object) -> None:
         raise AssertionError("an event was built that no sink receives")
 
-    for name in ("publisher.map_features", "publisher._keyframe_event", "graph.graph_estimate.residuals_of"):
+    for name in ("reporting.publisher.map_features", "reporting.publisher.keyframe_event"):
         monkeypatch.setattr(f"slam.{name}", fail)
+    monkeypatch.setattr("slam.graph.graph_estimate.residuals_of", fail)
     listener = Notices()
     run(drive, listener=listener)
     assert {type(event) for event in listener.events} == {ScanTracked}
@@ -172,7 +173,7 @@ def test_events_of_scans_are_not_built_if_no_sink_receives_them(
         def __new__(cls, *_: object, **__: object) -> NoReturn:
             raise AssertionError("an event was built that no sink receives")
 
-    monkeypatch.setattr("slam.publisher.ScanTracked", Unwanted)
+    monkeypatch.setattr("slam.reporting.publisher.ScanTracked", Unwanted)
     assert len(run(drive[:60], listener=Notices()).poses)
 
 

@@ -14,7 +14,7 @@ from ...io.run_results import read_run_results, write_results
 from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
 from ...offline.corrections import CorrectedSession, correct_session
-from ...run_statistics import loop_counts, part_rows
+from ...reporting.run_statistics import loop_counts, part_rows
 from ..slam_run import write_report_page
 
 FILES = (TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY)

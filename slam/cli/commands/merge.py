@@ -58,8 +58,8 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
         from ...events import Notice
         from ...io.sessions import read_session, write_session
         from ...offline.map_merging import merge_sessions
-        from ...optimisation import optimise
-        from ...publisher import Publisher
+        from ...offline.optimisation import optimise
+        from ...reporting.publisher import Publisher
         from ...warmup import warm_up
 
         started = time.perf_counter()

@@ -21,7 +21,7 @@ from ...loop_closure.loop_status import LoopStatus
 from ...loop_closure.submap_search import SubmapMatch
 from ...mapping.part_gauge import motion_to_part, return_to_odometry
 from ...mapping.pass_separation import Pass, separate_pass
-from ...run_statistics import loop_row
+from ...reporting.run_statistics import loop_row
 from .detours import direct_motions, is_detour, without_detours
 from .joins import Separation, separation_of
 from .place_match import match_places
