@@ -20,6 +20,7 @@ from .estimation.stage_timer import StageTimer
 from .events import Finished, GroundTruthReceived, ModeChanged, Notice, Sink
 from .geometry.segments import Floats
 from .localisation.state import LocalisationEvent, LocalisationState
+from .localisation.tracking import TrackingResult
 from .loop_closure.agreement import LoopAgreement
 from .mapping.convergence import converge
 from .mapping.map_features import MapCorners, MapWalls
@@ -133,10 +134,7 @@ class Slam:
             self._place(processed, self._initial_pose)
             before = None
         result = self._estimator.process(processed, timer)
-        if self._motions.learns:
-            tracking, matched = result.tracking, self._estimator.state.matched_pose
-            turned = 0.0 if matched is None else float(se2.between(tracking.pose, matched)[2])
-            self._motions.correct(processed.stamp, tracking.motion_since(before), tracking.covariance, turned)
+        self._learn_motion(processed.stamp, result.tracking, before)
         if self._motions.predicted:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
         if not self.frozen and self.slam_state.in_familiar_place:
@@ -146,6 +144,18 @@ class Slam:
         self._statistics.lost_scans += self._localisation.lost
         self._report.add(processed, result, self.slam_state, self._preprocessor.noise.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)
+
+    def _learn_motion(self, stamp: float, tracking: TrackingResult, before: se2.Pose | None) -> None:
+        """Correct the source of the motions by that between the last two scans, if it learns.
+
+        stamp   of the last scan, seconds
+        before  pose of the base in the map at the scan before; None if it is not known
+        """
+        if not self._motions.learns:
+            return
+        matched = self._estimator.state.matched_pose
+        turned = 0.0 if matched is None else float(se2.between(tracking.pose, matched)[2])
+        self._motions.correct(stamp, tracking.motion_since(before), tracking.covariance, turned)
 
     # --- start
 

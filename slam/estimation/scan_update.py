@@ -30,8 +30,9 @@ from ..matching.point_matcher import INDEPENDENT_SHARE, point_information
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_selection import is_due, learn_between_keyframes, learn_motion
 from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, search_loop
-from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState
+from .slam_state import RELOCALISED_RADIUS, SlamState
 from .stage_timer import StageTimer
+from .tracking_checkpoint import Anchor
 
 # A place is familiar after this many visits with keyframes near the robot (metres, radians) if the familiarity of the
 # scan is at least this. Origin: chosen so that the graph does not grow while a robot patrols a known building; not
