@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import MapError
+from ...formatting import counted
 from ...io.host import versions
 from ...io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY, OutputDirectory
 from ...io.run_results import read_run_results, write_results
@@ -48,7 +49,7 @@ def write_corrected_session(
     write_report_page(target)
     if not corrections:
         return [f"{target}: no corrections"]
-    return [f"{target}: {len(corrected.finished.walls)} walls", *_lines(corrected.outcomes)]
+    return [f"{target}: {counted(len(corrected.finished.walls), 'wall')}", *_lines(corrected.outcomes)]
 
 
 def _copy_results(source: Path, directory: Path) -> None:

@@ -11,7 +11,7 @@ import typer
 
 from ...formatting import counted, percent
 from ..console import print_if_slow, print_message
-from ..options import OverwriteOption, RegularOption
+from ..options import OverwriteOption, RegularOption, SessionArgument
 
 if TYPE_CHECKING:
     from ...measuring.measured_map import MeasuredMap
@@ -30,10 +30,10 @@ class Format(StrEnum):
 
 
 def measure(
-    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")],
+    session: SessionArgument,
     walls: Annotated[
         list[int] | None,
-        typer.Argument(metavar="[WALL]...", help="Identities of walls, as in map.json; by default the whole map."),
+        typer.Argument(metavar="WALL", help="Identities of walls, as in map.json; by default the whole map."),
     ] = None,
     form: Annotated[
         Format,

@@ -22,7 +22,7 @@ MIN_SESSIONS = 2
 
 def merge(
     sessions: Annotated[
-        list[Path], typer.Argument(metavar="SESSION SESSION...", help="Output directories of runs in one building.")
+        list[Path], typer.Argument(metavar="SESSION", help="Output directories of two or more runs in one building.")
     ],
     out: OutOption,
     overwrite: OverwriteOption = False,
@@ -39,7 +39,7 @@ def merge(
     from ..run_summary import format_summary
 
     if len(sessions) < MIN_SESSIONS:
-        raise typer.BadParameter("at least two sessions are required", param_hint="SESSION SESSION...")
+        raise typer.BadParameter("at least two sessions are required", param_hint="SESSION")
     result = _merge(sessions, out, overwrite=overwrite, review=review, picture=plot)
     head, *rows = format_summary(result, out)
     joined_rows = [f"  {'joined':<11}{joined['session']}: {joined['reason']}" for joined in result.summary["joined"]]
