@@ -1,7 +1,7 @@
 """Update the state by one scan: track the pose, then extend trajectory and map.
 
-`track` finds the scan's pose. `update_map` appends it to the trajectory and, if the robot has moved far enough, makes
-the scan a keyframe: its features are associated with landmarks at the pose that these determine, the graph is solved,
+`track` finds the scan's pose. `update_map` appends it to the trajectory. If the robot has moved far enough, the scan
+becomes a keyframe: its features are associated with landmarks at the pose that these determine, the graph is solved,
 the map around the robot is read back, and loops are searched for.
 """
 

@@ -110,7 +110,7 @@ def _variances_of_walls(walls: np.ndarray[tuple[int], np.dtype[np.int64]], value
 
 
 def long_run_sum(values: Floats) -> float:
-    """Return n times the long-run variance of n values in order."""
+    """Return n times the long-run variance of values (n,) in order."""
     lags = range(1, min(MAX_LAG, len(values) - 1) + 1)
     products = sum((1.0 - j / (MAX_LAG + 1)) * float(values[j:] @ values[:-j]) for j in lags)
     return float(values @ values) + 2.0 * products
