@@ -286,7 +286,7 @@ class Slam:
         Raises MapError if there was nothing to map.
         """
         if not self._preprocessor.scans:
-            raise MapError("no laser scan in it, so there is nothing to map")
+            raise MapError("no laser scan, so there is nothing to map")
         if not self._has_odometry:
             raise MapError(f"{self._preprocessor.scans} scans, but no odometry; add --no-odometry to map without")
         session = self._session_with_queue()

@@ -188,9 +188,9 @@ def test_scans_may_come_before_their_odometry(drive: list[Message], drive_result
 
 
 def test_without_scans_or_odometry_there_is_no_map(drive: list[Message]) -> None:
-    with pytest.raises(MapError, match="no laser scan in it"):
+    with pytest.raises(MapError, match="no laser scan, so there is nothing to map"):
         run([])
-    with pytest.raises(MapError, match="no laser scan in it"):
+    with pytest.raises(MapError, match="no laser scan, so there is nothing to map"):
         run(message for message in drive if isinstance(message, Odometry))
     with pytest.raises(MapError, match="scans, but no odometry"):
         run(message for message in drive if isinstance(message, Scan))
