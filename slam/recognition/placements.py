@@ -18,7 +18,7 @@ from drivers import se2
 
 from ..geometry.pose_covariance import squared_distance
 from ..geometry.segments import Floats, Integers
-from ..loop_closure.look import MAX_SQUARED_DISTANCE
+from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
 from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
 from .map_index import align_candidates
