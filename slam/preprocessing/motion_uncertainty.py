@@ -1,13 +1,32 @@
 """Uncertainty of odometry's motion during a sweep, added to the covariances of the scan's segments and corners.
 
 A sweep is corrected with odometry's motion, whose random error is common to neighbouring beams: it does not average out
-over a wall, and it bends the wall. The error consists of a drift of the position, and of a random walk of the heading
-with STEPS steps on either side of the middle of the sweep. The responses R_i (2, m) of segment i are the changes of its
-offset and heading by one standard deviation of each of these errors. Segments enter the estimate as independent, with
-the covariance a R_i R_i' in addition to that of the sensor noise. The factor a >= 1 is chosen such that the covariance
-of the robot's pose is as if the errors were common to all segments.
+over a wall, and it bends the wall. At a beam, s metres of travel from the middle of the sweep and negative before it,
+it is like an error of the robot's pose. The error of the position is s b with b ~ N(0, t I). That of the heading is a
+random walk w with the variance q per metre in both directions. The reference of the sweep is the middle of a parabola
+that is fitted to odometry from -l to l (see `deskew`), so the middle of that fitted to w is subtracted:
 
-Derived in docs/mathematics.md#common-errors-of-rays.
+    e(s) = w(s) - int p(|u| / l) dw(u),    p(x) = (4 - 9 x + 5 x^3) / 8 for x < 1, else 0
+
+The offset d and the heading h of a segment are sums over the distances of its beams from the line, with the gains g_k
+of the weighted fit. Beam k ends at p_k, x_k along the line from its middle. With the directions t along and n across
+the line, the motion moves it across the line by e(s_k) t'p_k + s_k n'b:
+
+    [d, h] = sum_k g_k (e(s_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
+
+This is linear in b and in the steps of the random walk, STEPS on either side of the middle. Let the responses R_i
+(2, m) of segment i be its changes by one standard deviation of each of these errors. Segments i and j share the
+covariance
+
+    K_ij = R_i R_j'
+
+Segments enter the estimate as independent, with the covariances D_i + a K_ii instead: D_i is that of the sensor noise.
+The factor a is chosen such that the covariance that this implies for the robot's pose is that of the same estimate with
+the true K: with the weights W_i of each segment, the derivatives J_i by the pose, and H = sum_i J_i' W_i J_i,
+
+    a = tr(H^-1 sum_ij J_i' W_i K_ij W_j J_j) / tr(H^-1 sum_i J_i' W_i K_ii W_i J_i)
+
+It is at least one: so large is the error of a single segment.
 """
 
 from __future__ import annotations
@@ -53,7 +72,7 @@ def add_motion_uncertainty(
     noise: Noise,
     mount: se2.Pose,
 ) -> tuple[Segments, CornerPoints]:
-    """Add odometry's uncertainty during the sweep to the covariances of segments and corners.
+    """Add odometry's uncertainty during the sweep to the covariances of segments and corners; see the module.
 
     segments, corners  of the scan, in the base's frame
     lines              from which the segments were made, in the same order
@@ -169,7 +188,7 @@ def _weight_and_place(frame, half_length, bearing, mount, variances):  # type: i
 
 @compiled
 def _share_in_fit(travel, fitted):  # type: ignore[no-untyped-def]
-    """Return p, the share of a step of the random walk in the middle of the parabola."""
+    """Return p of the module's documentation: the share of a step of the random walk in the middle of the parabola."""
     if travel >= fitted:
         return 0.0
     part = travel / fitted
@@ -190,7 +209,7 @@ def _pose_jacobians(segments: Segments) -> Floats:
 
 @compiled
 def _variance_inflation(covariances, jacobians, motion, responses):  # type: ignore[no-untyped-def]
-    """Return the factor a of the motion's variances.
+    """Return the variance inflation factor a of the module's documentation.
 
     covariances  (n, 2, 2) of the segments without the motion
     jacobians    (n, 2, 3) by the pose
