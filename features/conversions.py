@@ -36,20 +36,3 @@ def uv_of_implicit(abc: Floats) -> tuple[Floats, Floats]:
     """Return (u, v) of the line a x + b y + c = 0, and the Jacobian (2, 3) in (a, b, c)."""
     a, b, c = abc
     return np.array([-a, -b]) / c, np.array([[-1.0, 0.0, a / c], [0.0, -1.0, b / c]]) / c
-
-
-def closest_point_of_uv(uv: Floats) -> tuple[Floats, Floats]:
-    """Return the line's point closest to the origin, (2,) in metres, and the Jacobian (2, 2) in (u, v)."""
-    d2 = 1.0 / float(uv @ uv)
-    return d2 * uv, d2 * (np.eye(2) - 2.0 * d2 * np.outer(uv, uv))
-
-
-def end_point(uv: Floats, bearing: float) -> tuple[Floats, Floats, Floats]:
-    """Return the intersection (2,) of the ray at a bearing (radians) with the line.
-
-    Also returns its Jacobian (2, 2) in (u, v), and its derivative (2,) in the bearing.
-    """
-    ray = np.array([math.cos(bearing), math.sin(bearing)])
-    distance = 1.0 / float(ray @ uv)
-    along = np.array([-uv[1], uv[0]])
-    return distance * ray, -(distance**2) * np.outer(ray, ray), distance**2 * along

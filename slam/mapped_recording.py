@@ -18,6 +18,7 @@ from .config import Config
 from .errors import MapError
 from .evaluation.metrics import score_reference
 from .events import Finished, Sink
+from .formatting import counted
 from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
@@ -129,7 +130,7 @@ class MappedRecording:
         assert isinstance(suspects, list)
         rows = {
             "recording": self.name,
-            "map": f"{len(self.walls)} walls, {len(self.corners)} corners",
+            "map": self._sizes,
             "path": f"{_length(self.path):.1f} m in {self.stamps[-1] - self.stamps[0]:.0f} s",
             "loops closed": str(loops["accepted"]),
             "suspects": "; ".join(one["text"] for one in suspects) or "none",
@@ -140,7 +141,11 @@ class MappedRecording:
         return f'<table>{cells}</table><img src="data:image/svg+xml;base64,{picture}" style="max-width: 100%">'
 
     def __repr__(self) -> str:
-        return f"<{self.name}: {len(self.walls)} walls, {len(self.corners)} corners, {_length(self.path):.1f} m driven>"
+        return f"<{self.name}: {self._sizes}, {_length(self.path):.1f} m driven>"
+
+    @property
+    def _sizes(self) -> str:
+        return f"{counted(len(self.walls), 'wall')}, {counted(len(self.corners), 'corner')}"
 
 
 def run(

@@ -20,7 +20,7 @@ from .estimation.stage_timer import StageTimer
 from .events import Finished, GroundTruthReceived, ModeChanged, Notice, Sink
 from .geometry.segments import Floats
 from .localisation.state import LocalisationEvent, LocalisationState
-from .localisation_report import LocalisationReport
+from .localisation.tracking import TrackingResult
 from .loop_closure.agreement import LoopAgreement
 from .mapping.convergence import converge
 from .mapping.map_features import MapCorners, MapWalls
@@ -28,14 +28,14 @@ from .mapping.plan_map import VIEWS_END, PlanMap
 from .odometry.motion_source import MotionSource
 from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
-from .publisher import Publisher
 from .recognition.location import STATED
+from .reporting.localisation_report import LocalisationReport
+from .reporting.publisher import Publisher
+from .reporting.run_statistics import RunStatistics, run_summary
+from .reporting.scan_report import ScanReport
 from .run_end import check_run, is_unknown_place, map_alone, settle_plan, settle_trajectory
-from .run_session import RunSession
-from .run_snapshot import RunSnapshot
+from .run_session import RunSession, RunSnapshot
 from .run_start import continued_state, new_state, start_journal, start_preprocessor
-from .run_statistics import RunStatistics, run_summary
-from .scan_report import ScanReport
 
 if TYPE_CHECKING:
     from .io.sessions import StoredSession
@@ -134,10 +134,7 @@ class Slam:
             self._place(processed, self._initial_pose)
             before = None
         result = self._estimator.process(processed, timer)
-        if self._motions.learns:
-            tracking, matched = result.tracking, self._estimator.state.matched_pose
-            turned = 0.0 if matched is None else float(se2.between(tracking.pose, matched)[2])
-            self._motions.correct(processed.stamp, tracking.motion_since(before), tracking.covariance, turned)
+        self._learn_motion(processed.stamp, result.tracking, before)
         if self._motions.predicted:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
         if not self.frozen and self.slam_state.in_familiar_place:
@@ -147,6 +144,18 @@ class Slam:
         self._statistics.lost_scans += self._localisation.lost
         self._report.add(processed, result, self.slam_state, self._preprocessor.noise.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)
+
+    def _learn_motion(self, stamp: float, tracking: TrackingResult, before: se2.Pose | None) -> None:
+        """Correct the source of the motions by that between the last two scans, if it learns.
+
+        stamp   of the last scan, seconds
+        before  pose of the base in the map at the scan before; None if it is not known
+        """
+        if not self._motions.learns:
+            return
+        matched = self._estimator.state.matched_pose
+        turned = 0.0 if matched is None else float(se2.between(tracking.pose, matched)[2])
+        self._motions.correct(stamp, tracking.motion_since(before), tracking.covariance, turned)
 
     # --- start
 
@@ -277,7 +286,7 @@ class Slam:
         Raises MapError if there was nothing to map.
         """
         if not self._preprocessor.scans:
-            raise MapError("no laser scan in it, so there is nothing to map")
+            raise MapError("no laser scan, so there is nothing to map")
         if not self._has_odometry:
             raise MapError(f"{self._preprocessor.scans} scans, but no odometry; add --no-odometry to map without")
         session = self._session_with_queue()

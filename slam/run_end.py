@@ -17,8 +17,8 @@ from .events import Notice
 from .localisation.tracking import PoseFix
 from .memory import return_freed_memory
 from .odometry.scan_delay import ScanDelay, estimate_scan_delay
-from .publisher import Publisher
-from .run_statistics import RunStatistics
+from .reporting.publisher import Publisher
+from .reporting.run_statistics import RunStatistics
 
 
 def is_unknown_place(estimator: Estimator, journal: Journal, *, frozen: bool) -> bool:

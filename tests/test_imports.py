@@ -25,10 +25,8 @@ CONFINED = {
 LAYERS = (
     "errors", "extras", "formatting", "memory", "config", "geometry", "graph", "odometry", "mapping", "matching",
     "preprocessing", "localisation", "loop_closure", "recognition", "checks", "events", "estimation", "measuring",
-    "run_statistics", "io", "run_snapshot", "run_start", "run_session", "odometry_deviations", "publisher",
-    "scan_report", "localisation_report", "run_end",
-    "pose_extrapolation", "pipeline", "optimisation", "warmup", "offline", "evaluation",
-    "visualisation", "mapped_recording", "ros", "cli",
+    "io", "reporting", "run_start", "run_session", "run_end", "pose_extrapolation", "pipeline", "warmup", "offline",
+    "evaluation", "visualisation", "mapped_recording", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 

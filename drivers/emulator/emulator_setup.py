@@ -15,9 +15,8 @@ from .scip import SCIP_VARIANTS
 
 DRIVES = ("path", "base", "keyboard")
 """Pilots: the world's path, the velocities sent to the base, the arrow keys."""
-FAULT_KINDS = ("unplug", "stall", "restart", "fail")
-"""The port disappears for a while; the device is silent for a while; it restarts; it has an internal error."""
 LASTING_FAULTS = ("unplug", "stall")
+"""Kinds of faults that end after their duration; the others happen at one time."""
 EVENT_PATTERN = re.compile(r"(lidar|base)@([0-9]+(?:\.[0-9]+)?)(?::([0-9]+(?:\.[0-9]+)?))?")
 MAX_CLOCK_DRIFT = 10_000.0
 """Parts per million; ceramic resonators are within half of it."""
@@ -35,7 +34,13 @@ def base_names() -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class FaultEvent:
-    """A scheduled fault: kind (one of FAULT_KINDS), device ("lidar" or "base"), time and duration in seconds."""
+    """Scheduled fault of a device.
+
+    kind      unplug (the port disappears), stall (the device is silent), restart, or fail (until the device is reset)
+    device    lidar or base
+    time      from the start of the emulation, seconds
+    duration  of unplug and stall, seconds
+    """
 
     kind: str
     device: str

@@ -34,7 +34,6 @@ VERSION = b"VV\n"
 STATE = b"II\n"
 USE_SCIP2 = b"SCIP2.0\n"
 """Command to a device that replies `E` because it still uses SCIP 1.1."""
-CLOCK = b"TM1\n"
 
 
 def checksum(text: bytes) -> bytes:

@@ -16,8 +16,8 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..odometry.history import wheel_travel
+from .distance_rings import DistanceRings, compared_points
 from .drive import Drive
-from .local_field import LocalField, compared_points
 
 # Scans that make the local field: about four metres of driving. Origin: chosen; not measured.
 FIELD_SCANS = 12
@@ -94,7 +94,7 @@ def judge_steps(drive: Drive) -> Steps:
     judged = np.isfinite(distance) & (wheel_travel(measured) <= MAX_STEP)
     prior = _log_prior(_lasting(drive, distance))
     gross = _grossly_wrong(drive, measured, distance)
-    field = LocalField()
+    field = DistanceRings()
     for k in range(count):
         field.add(drive.points[k], drive.poses[k])
         if k >= FIELD_SCANS:
@@ -105,7 +105,7 @@ def judge_steps(drive: Drive) -> Steps:
 
 
 def _judge(
-    steps: Steps, k: int, drive: Drive, field: LocalField, measured: se2.Pose, prior: float, *, gross: bool
+    steps: Steps, k: int, drive: Drive, field: DistanceRings, measured: se2.Pose, prior: float, *, gross: bool
 ) -> None:
     """Fill in the row of a step; `measured` is its motion by odometry, `prior` the logarithm for the final pose."""
     points, before, after = compared_points(drive.points[k + 1]), drive.poses[k], drive.poses[k + 1]
@@ -123,7 +123,7 @@ def _judge(
 
 
 def _search(
-    field: LocalField, points: Floats, before: se2.Pose, measured: se2.Pose, variances: Floats, half_width: Floats
+    field: DistanceRings, points: Floats, before: se2.Pose, measured: se2.Pose, variances: Floats, half_width: Floats
 ) -> tuple[se2.Pose, float, float]:
     """Return the most probable pose around odometry's, its fit, and the logarithm that odometry contributes."""
     motion, width = measured, half_width

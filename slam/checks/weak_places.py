@@ -1,9 +1,9 @@
 """Find weak places: where a map is poorly known by its own covariances, and the drive that would improve it.
 
 The standard deviations are relative to the origin of the map, the pose of the first keyframe. Along the path they grow
-where each place is known only relative to the one before it, and closed loops and returns make them smaller again. A
-stretch of the path that is poorly known is therefore improved by a drive from its least known place to a place that is
-well known, by a way that was not driven yet; or, if most of the error arises at one place, by driving there again.
+where each place is known only relative to the one before it, and closed loops and returns make them smaller again. So a
+stretch of the path that is poorly known is improved by a drive from its least known place to a place that is well
+known, by a way that was not driven yet. If most of the error arises at one place, driving there again improves it.
 
 Walls are compared with the keyframe nearest to them: the error that both share is that of the path. What a wall has
 beyond it is due to few or distant observations, and is improved by driving past the wall again.

@@ -40,11 +40,19 @@ def parse_pose(text: str | None, option: str) -> se2.Pose | None:
 RecordingArgument = Annotated[
     str,
     typer.Argument(
+        metavar="RECORDING",
         callback=refuse_results,
         help="Recording: CARMEN log, MCAP file, ROS 1 bag, ROS 2 bag directory, or simulation (sim:office?seed=3).",
     ),
 ]
-WorldArgument = Annotated[str, typer.Argument(help="Name of a built-in world, or a TOML file.")]
+OtherRecordingArgument = Annotated[
+    str, typer.Argument(metavar="RECORDING", callback=refuse_results, help="Recording, as for `wclm run`.")
+]
+SessionArgument = Annotated[Path, typer.Argument(metavar="SESSION", help="Output directory of `wclm run`.")]
+WorldArgument = Annotated[
+    str,
+    typer.Argument(metavar="WORLD", help="Built-in world, e.g. office; an unknown name lists all. Or a TOML file."),
+]
 SetOption = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="GROUP.KEY=VALUE", help="One setting, e.g. lidar.delay=0.1; can be repeated."),
@@ -59,7 +67,7 @@ DurationOption = Annotated[
     float | None,
     typer.Option("--duration", metavar="SECONDS", min=0.0, help="Duration in seconds; by default until Ctrl-C."),
 ]
-OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing results.")]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
 ContinueOption = Annotated[
     Path | None,
     typer.Option("--continue", metavar="SESSION", help="Output directory of an earlier run whose map to extend."),

@@ -14,7 +14,8 @@ from ..geometry.pose_covariance import covariance_after
 from ..geometry.small_matrices import inverse
 from ..localisation.tracking import CONDITIONING, TrackingResult
 from ..preprocessing.preprocessor import ProcessedScan
-from .slam_state import Anchor, SlamState
+from .slam_state import SlamState
+from .tracking_checkpoint import Anchor
 
 # Share of a scan's points that lie on known surfaces below which the map lacks a considerable part of what is seen.
 # Origin: measured. In offices 10 to 25 % of the scans show less, in mines, halls and outdoors more than half. With

@@ -18,7 +18,7 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import CLOSING_UPDATES
 from ..loop_closure.closing import LOOP_FACTOR_SIGMAS
-from ..loop_closure.look import SUBMAP_LENGTH
+from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.frame_change import change_frame
 from ..mapping.map_features import MapWalls
 from ..mapping.plan_map import PlanMap

@@ -16,7 +16,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..loop_closure.look import MAX_SQUARED_DISTANCE, UNMODELLED_SIGMAS
+from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE, UNMODELLED_SIGMAS
 from ..mapping.plan_map import PlanMap
 from ..mapping.plan_mapper import plan_mapper
 from ..matching.point_matcher import POINT_SPACING

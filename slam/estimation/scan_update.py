@@ -1,7 +1,7 @@
 """Update the state by one scan: track the pose, then extend trajectory and map.
 
-`track` finds the scan's pose. `update_map` appends it to the trajectory and, if the robot has moved far enough, makes
-the scan a keyframe: its features are associated with landmarks at the pose that these determine, the graph is solved,
+`track` finds the scan's pose. `update_map` appends it to the trajectory. If the robot has moved far enough, the scan
+becomes a keyframe: its features are associated with landmarks at the pose that these determine, the graph is solved,
 the map around the robot is read back, and loops are searched for.
 """
 
@@ -30,8 +30,9 @@ from ..matching.point_matcher import INDEPENDENT_SHARE, point_information
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_selection import is_due, learn_between_keyframes, learn_motion
 from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, search_loop
-from .slam_state import RELOCALISED_RADIUS, Anchor, SlamState
+from .slam_state import RELOCALISED_RADIUS, SlamState
 from .stage_timer import StageTimer
+from .tracking_checkpoint import Anchor
 
 # A place is familiar after this many visits with keyframes near the robot (metres, radians) if the familiarity of the
 # scan is at least this. Origin: chosen so that the graph does not grow while a robot patrols a known building; not

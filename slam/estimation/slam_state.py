@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +20,7 @@ from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField, LocalFieldState
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import Tracker
-from ..localisation.tracking import PoseFix, TrackerState, TrackingResult
+from ..localisation.tracking import PoseFix, TrackingResult
 from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.convergence import converge
@@ -34,6 +34,7 @@ from ..preprocessing.preprocessor import ProcessedScan
 from ..recognition.join_search import JoinSearch
 from ..recognition.location import LOST, Expectation
 from .plan_prior import PlanPrior
+from .tracking_checkpoint import Anchor, TrackingCheckpoint
 
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
 # reaches; not measured.
@@ -42,41 +43,6 @@ RELOCALISED_RADIUS = 12.0
 # Metres, metres, radians: standard deviations of a pose that a user sets, for example with the mouse.
 # Origin: chosen, those that RViz states, a little wider in heading.
 INITIAL_POSE_SIGMAS = np.array([0.5, 0.5, np.radians(20.0)])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Anchor:
-    """Reference of the next motion: a pose on the trajectory, stored relative to a keyframe.
-
-    relative    (3,) [x, y, heading] in the keyframe's frame
-    covariance  (3, 3) of `relative`, in its own frame
-    odometry    (3,) odometry pose at the anchor
-    """
-
-    keyframe: int
-    relative: se2.Pose
-    covariance: Floats
-    odometry: se2.Pose
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackingCheckpoint:
-    """Tracking state that a session stores.
-
-    tracker              state of the tracker; None before the first scan
-    field                state of the local field
-    anchor               reference of the next motion; None before the first keyframe
-    kidnapped            True if the robot was moved since the anchor without odometry noticing
-    kidnapped_keyframes  keyframes reached in this way
-    learned_until        end of the last motion that was learned from, if it is not the anchor
-    """
-
-    tracker: TrackerState | None
-    field: LocalFieldState
-    anchor: Anchor | None
-    kidnapped: bool
-    kidnapped_keyframes: Sequence[int]
-    learned_until: Anchor | None = None
 
 
 class SlamState:

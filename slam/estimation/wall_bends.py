@@ -1,20 +1,12 @@
 """Bends of walls: errors that all observations of a wall share, estimated from the scans at the end of a run.
 
-A real wall is not a straight line. Its surface is b(s) off the line that is meant, s metres along it, and every view
-shows the same b. The line that is fitted to it, with an offset and a heading, is therefore wrong by
+A real wall is not a straight line, and every view shows the same bends. The line that is fitted to it is therefore
+wrong, and no residual shows this error. What a keyframe can see is the deviation of the surface from a line through its
+own view, which does not depend on its pose. The products of these deviations at two places, summed over all pairs of
+different keyframes, show the variance of the bends and the length over which they are correlated. The covariance of
+each wall due to its bends follows from both.
 
-    e = W b,    W = (X' N X)^-1 X' N,    X = [1, s],
-
-with the number N of keyframes that saw each place. No residual reveals e. What a keyframe k can see is the deviation of
-the surface from the line M_k b that is fitted to its own view, which does not depend on its pose; M_k = I - X W_k at
-the places that it saw. Products of the deviations at two places are summed over all pairs of *different* keyframes: the
-noise and the errors of a sweep differ between keyframes, and do not contribute. With the covariance
-
-    C(d) = v exp(-d^2 / (2 l^2))
-
-of a Gaussian process, d metres apart, the expected sum is A C A - sum_k M_k C M_k, A = sum_k M_k. The variance v and
-the length l are those for which it fits the products of all walls best. The covariance of a wall due to its bends is
-W C W'.
+Equations, whose symbols the code uses: docs/mathematics.md#bends-of-walls.
 """
 
 from __future__ import annotations

@@ -199,17 +199,17 @@ class ArrayGraph:
         return self.linearise(values, bias).step
 
     def linearise(self, values: Floats, bias: float) -> LinearGraph:
-        """Linearise the graph at some values. Raises MapError if the step from there is not determined."""
+        """Linearise the graph at some values (n, 3). Raises MapError if the step from there is not determined."""
         diagonal, below, gradient = self._factorised(values, bias)
         step = solve(self._pattern, diagonal, below, gradient)[self._pattern.rank]
         return LinearGraph(step, self._pattern, diagonal, below)
 
     def retract(self, values: Floats, step: Floats) -> Floats:
-        """Return values moved by a step."""
+        """Return values (n, 3) moved by a step (n, 3) in the tangent spaces of the variables."""
         return np.asarray(moved(values, step, self.corners))
 
     def cost(self, values: Floats, bias: float) -> float:
-        """Return twice the robust cost."""
+        """Return twice the robust cost at some values (n, 3)."""
         return float(robust_cost(*self._arrays(bias), values))
 
     def joint_covariances(self, values: Floats, bias: float) -> list[Floats]:

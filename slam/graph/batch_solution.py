@@ -73,11 +73,14 @@ class BatchSolution:
         return BatchSolution(self.arrays, linearised, self.bias)
 
     def covariances(self) -> dict[int, Floats]:
-        """Return the covariances of all variables by key, each in its own tangent space."""
+        """Return the covariances by key, (3, 3) or of corners (2, 2), each in the tangent space of its variable."""
         return self.arrays.by_key(self.linear.covariances())
 
     def joint_covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the joint covariance of some variables, in the order of `keys`. The time grows with their number."""
+        """Return the joint covariance (m, m) of variables with m components in all, in the order of `keys`.
+
+        The time grows with their number.
+        """
         rows = np.searchsorted(np.array(self.arrays.keys, dtype=np.uint64), np.array(keys, dtype=np.uint64))
         joint = self.linear.joint_covariance(rows)
         used = np.flatnonzero(np.stack([np.ones(len(rows)), np.ones(len(rows)), ~self.arrays.corners[rows]], axis=1))

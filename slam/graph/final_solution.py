@@ -45,16 +45,6 @@ def _divisors_of_information(graph: FactorGraph, factors: list[Factor]) -> Float
     )
 
 
-def relinearize_all(graph: FactorGraph) -> None:
-    """Solve everything again from the present estimate, at the end of a run.
-
-    Incremental solving relinearises only variables that move by more than a threshold; robust weights of the others
-    are those of their last linearisation.
-    """
-    arrays = graph.solver.arrays()
-    _solve_at_once(graph, graph.solver.sorted_factors(), arrays, arrays.values_of(graph.solver.estimate()))
-
-
 def _solve_at_once(graph: FactorGraph, factors: list[Factor], arrays: ArrayGraph, values: Floats) -> None:
     """Replace the solution of a graph by that of some Gauss-Newton steps from `values` (n, 3).
 

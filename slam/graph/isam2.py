@@ -242,13 +242,16 @@ class IncrementalSolver:
     # --- covariances
 
     def marginal_covariance(self, key: int) -> Floats:
-        """Return the covariance of one variable in its own tangent space. Raises MapError as `update` does."""
+        """Return the covariance (3, 3), or (2, 2) of a corner, in the variable's tangent space.
+
+        Raises MapError as `update` does.
+        """
         if self.batch is not None:
             return self.joint_covariance([key])
         return self._query(lambda isam: np.asarray(isam.marginalCovariance(key))) + self.range_bias.covariance([key])
 
     def marginal_covariances(self) -> dict[int, Floats]:
-        """Return the covariances of all variables by key, in a fraction of the time of asking for one after the other.
+        """Return the covariances of all variables by key, in a fraction of the time that single ones take.
 
         Raises MapError as `update` does.
         """
@@ -280,7 +283,10 @@ class IncrementalSolver:
         return BatchSolution(arrays, arrays.values_of(self.isam.getLinearizationPoint()), self.range_bias.metres)
 
     def joint_covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the joint covariance of variables, in the order of `keys`. Raises MapError as `update` does."""
+        """Return the joint covariance (m, m) of variables with m components in all, in the order of `keys`.
+
+        Raises MapError as `update` does.
+        """
         if self.batch is not None:
             joint = self.batch.joint_covariance(keys)
         else:

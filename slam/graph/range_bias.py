@@ -46,7 +46,7 @@ class RangeBias:
     response: Mapping[int, Floats] = field(default_factory=dict)
 
     def covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the part of the joint covariance of variables that the uncertainty of the bias causes."""
+        """Return the part of the joint covariance (m, m) of variables that the uncertainty of the bias causes."""
         if not self.response:
             return np.zeros((1, 1))
         parts = [self.response.get(key, np.zeros(2 if gtsam.Symbol(key).chr() == CORNER else 3)) for key in keys]

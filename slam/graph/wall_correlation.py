@@ -1,14 +1,12 @@
 """Errors of wall observations that repeat with every view.
 
 A real wall is bent, and has frames and recesses. Segments fitted to it from neighbouring keyframes err alike, so many
-of them know less than as many independent ones. For the whitened residuals z of one wall in the order of its keyframes,
-with the autocovariances g_j, the mean of n values has the variance g / n with the long-run variance
+of them know less than as many independent ones. The information of a wall's observations is divided by the long-run
+variance of their whitened residuals in the order of the keyframes (Newey, West 1987), which is one for white noise as
+modelled. Residuals are weighted by the robust kernel, as they are in the estimate, and divided by what this leaves of
+white noise.
 
-    g = g_0 + 2 sum_j (1 - j / (J + 1)) g_j,   j = 1 ... J
-
-(Newey, West 1987), which is one for white noise as modelled. The information of the wall's observations is divided by
-it. Residuals are weighted by the robust kernel, as they are in the estimate, and divided by what this leaves of white
-noise.
+Equations: docs/mathematics.md#errors-that-repeat.
 """
 
 from __future__ import annotations
@@ -112,7 +110,7 @@ def _variances_of_walls(walls: np.ndarray[tuple[int], np.dtype[np.int64]], value
 
 
 def long_run_sum(values: Floats) -> float:
-    """Return n times the long-run variance of n values in order."""
+    """Return n times the long-run variance of values (n,) in order."""
     lags = range(1, min(MAX_LAG, len(values) - 1) + 1)
     products = sum((1.0 - j / (MAX_LAG + 1)) * float(values[j:] @ values[:-j]) for j in lags)
     return float(values @ values) + 2.0 * products

@@ -132,9 +132,10 @@ class LocalField:
     def add(self, scan: ScanFeatures, undetermined: float = 0.0) -> None:
         """Add the points of the next keyframe. They enter the field with `update`.
 
-        undetermined  share of what may be unknown of a relative pose that is unknown of the motion from the keyframe
-                      before, for example as the robot passed through a hall that is wider than the lidar's range; 0 if
-                      scans determine the motion. This share of MAX_PATH is added to the way.
+        undetermined  uncertainty of the motion from the keyframe before, relative to the largest one with which two
+                      keyframes are in one field. It is 0 if scans determine the motion, and more, for example, in a
+                      hall that is wider than the lidar's range. This share of MAX_PATH, at most all of it, is added to
+                      the way. Equation: docs/mathematics.md#distance-field
         """
         if undetermined > 0.0:
             self._gaps[len(self._points)] = MAX_PATH * min(1.0, undetermined)

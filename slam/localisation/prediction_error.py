@@ -1,14 +1,12 @@
 """Error of the pose that odometry predicts from the last keyframe, beside that of odometry's own motion.
 
 It comes from the error of the keyframe's pose, from the clocks of lidar and odometry, and from the mount. On one robot
-it is a few millimetres, on another some centimetres. So its variance v is learned from scans that determine their pose:
-half of the squared differences e^2 of predicted and matched poses must be below
+it is a few millimetres, on another some centimetres. So its variance is learned from scans that determine their pose:
+it rises and falls by steps until half of the squared differences between predicted and matched poses are below the
+median of their distribution (stochastic approximation of a quantile, Robbins and Monro 1951). A gross error moves it by
+one step only.
 
-    m (v + c)
-
-with the median m of chi-square and the variance c of odometry's motion and of the match. The logarithm of v rises by a
-step if e^2 is above, and falls if it is below (stochastic approximation of a quantile, Robbins and Monro 1951). A gross
-error moves it by one step only.
+Equations: docs/mathematics.md#predictions.
 """
 
 from __future__ import annotations

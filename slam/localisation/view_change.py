@@ -1,9 +1,9 @@
 """Detect that two scans in a row show different places although the wheels hardly moved between them.
 
-A robot that is lifted does not drive, so only such scans are evidence that it was kidnapped. Between scans of a driving
-robot the view changes by the motion itself, which may be wrong, by what comes into sight behind other surfaces, and by
-what comes into the range of the lidar: in a large hall two scans in a row may have little in common. If its scans fit
-nowhere, the map or the estimated trajectory is wrong.
+A robot that is lifted does not drive, so only such scans are evidence that it was kidnapped. While a robot drives, the
+view changes by the motion itself, which may be wrong, and by what comes into sight or into the range of the lidar. In a
+large hall two scans in a row may have little in common. If scans of a driving robot fit nowhere, the map or the
+estimated trajectory is wrong.
 
 Two neighbouring beams of a scan show a surface between their ranges, however far apart the beams are. A point of the
 next scan agrees if it lies on that surface. In directions without neighbouring beams nothing is compared.

@@ -10,8 +10,8 @@ returned, and nothing is corrected.
 
 The uncertainty of the estimate may be wrong itself. So if looks contradict the estimate, and no place is recognised
 within its uncertainty, places are searched where the robot may be if its errors are the same all along the drive; see
-`Look.error_scale`. If the estimate has the robot where nothing was mapped, it is not in doubt: a place that looks alike
-may be there.
+`RelativeUncertainty`. If the estimate has the robot where nothing was mapped, it is not in doubt: a place that looks
+alike may be there.
 
 Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
 where odometry has put them, and a pose that fits there is one of the matches. If looks at what the other part has seen
@@ -42,10 +42,11 @@ from .criteria import (
     support_checks,
 )
 from .decision import Check, LoopDecision, LoopMatch
-from .look import MAX_PLACES, SUBMAP_LENGTH, Look, Submaps
+from .look import MAX_PLACES, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
+from .submap_search import SUBMAP_LENGTH
 from .votes import Search, Tested, Vote, find_votes, is_recognised
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
@@ -217,7 +218,7 @@ class LoopAgreement:
         """Return True if the look agrees with the estimate, which is certain: other places need not be searched."""
         votes = [vote for hypothesis, vote in tested if hypothesis is self._estimate and vote is not None]
         agrees = any(fits(v.match) and is_determined(v.match) and look.agrees(v.old, v.match) for v in votes)
-        settled = agrees and all(look.is_certain(place) for place in places)
+        settled = agrees and all(look.uncertainty.is_certain(place) for place in places)
         if settled:
             self._searched |= dict.fromkeys(places, look.travelled)
         return settled

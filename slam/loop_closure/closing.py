@@ -16,8 +16,9 @@ from ..mapping.wall_merging import find_overlaps
 from .agreement import SEARCH_INTERVAL
 from .criteria import SUPPORT_RATIO
 from .decision import LoopDecision, LoopMatch
-from .look import MAX_SQUARED_DISTANCE, SUBMAP_LENGTH
 from .loop_status import LoopStatus
+from .relative_uncertainty import MAX_SQUARED_DISTANCE
+from .submap_search import SUBMAP_LENGTH
 
 # Metres, metres, radians: standard deviations of the temporary loop factor, which only moves the map into place.
 # Origin: chosen, tighter than any drift; not measured.

@@ -7,10 +7,10 @@ import numpy as np
 from drivers import se2
 
 from .decision import Check, LoopDecision
-from .look import SUBMAP_LENGTH, Look
+from .look import Look
 from .loop_hypothesis import LoopHypothesis
 from .loop_status import LoopStatus
-from .submap_search import MIN_SCREENING_FIT, SubmapMatch, are_distinct
+from .submap_search import MIN_SCREENING_FIT, SUBMAP_LENGTH, SubmapMatch, are_distinct
 
 # Least fit of a match. Origin: definition, with less it is less likely than a place that was not seen.
 MIN_LOOP_FIT = MIN_SCREENING_FIT
@@ -58,7 +58,7 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
     corrects  true if it would correct the estimate; false if it is that the estimate is right
     """
     count, old = len(hypothesis.support), hypothesis.support[-1].old
-    span = max(SUBMAP_LENGTH, SPAN_DEVIATIONS * look.deviation(old))
+    span = max(SUBMAP_LENGTH, SPAN_DEVIATIONS * look.uncertainty.deviation(old))
     checks = [
         Check("support", count, MIN_SUPPORT, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),
@@ -119,5 +119,5 @@ def confirm(
         since,
         look.compared_points(last.old),
         joins=joins,
-        doubted=look.doubted,
+        doubted=look.uncertainty.doubted,
     )

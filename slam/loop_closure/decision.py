@@ -74,7 +74,7 @@ class LoopDecision:
     merged        landmark ids (old, recent) of walls that were merged
     shift         metres by which the last keyframe moved
     joins         true if it joins parts of the map that were not connected
-    doubted       true if the errors of the estimate were taken as correlated along the drive, see `Look.error_scale`
+    doubted       true if the errors of the estimate were taken as correlated along the drive, see `RelativeUncertainty`
     """
 
     candidate: int

@@ -6,7 +6,6 @@ searched at once, those that were not searched for the longest time come first.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -21,27 +20,14 @@ from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
 from .decision import LoopMatch
 from .loop_hypothesis import OldPlace
-from .submap_search import Submap, SubmapMatch, build_submap, improve, search_submap
+from .relative_uncertainty import MAX_SQUARED_DISTANCE, SEARCH_DEVIATIONS, UNMODELLED_SIGMAS, RelativeUncertainty
+from .submap_search import SUBMAP_LENGTH, Submap, SubmapMatch, build_submap, improve, search_submap
 
-# Metres of driving whose keyframes are the submap. Looks farther apart have no point in common.
-# Origin: chosen, about the size of a room; not measured.
-SUBMAP_LENGTH = 6.0
 # Metres of driving between the middles of the submaps of old places. Origin: definition, half a submap.
 SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
 # Submaps of old places that are kept, and places that are searched at a look. Origin: chosen, for memory and time.
 MAX_SUBMAPS = 16
 MAX_PLACES = 8  # Origin: as MAX_SUBMAPS.
-# Largest squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
-MAX_SQUARED_DISTANCE = 16.3
-# Standard deviations of the estimate within which places are searched. Origin: definition, all that are admitted: else
-# one that looks alike may be within them, and the right one beyond.
-SEARCH_DEVIATIONS = math.sqrt(MAX_SQUARED_DISTANCE)
-# Metres, metres, radians: errors of the estimate that its covariance does not contain, such as slips that were not
-# recognised. Origin: chosen; not measured.
-UNMODELLED_SIGMAS = np.array([0.3, 0.3, 0.05])
-# Covariances from which on it takes less time to factorise the graph anew than to compute each one with iSAM2.
-# Origin: measured, between 4 and 19 in a drive of 900 m.
-MIN_TOGETHER = 8
 
 
 class Submaps:
@@ -80,7 +66,7 @@ class Look:
     apart     true if they are in parts of the map that are not connected with the keyframe; else only those of earlier
               passes are old places
     keyframe  the other one
-    doubted   true if the errors of the estimate may be correlated along the drive, see `error_scale`
+    doubted   true if the errors of the estimate may be correlated along the drive, see `RelativeUncertainty`
     """
 
     def __init__(
@@ -95,12 +81,11 @@ class Look:
         doubted: bool = False,
     ) -> None:
         self._mapper, self._field, self._submaps = mapper, local_field, submaps
-        self.doubted = doubted
         self._travelled = np.asarray(mapper.travelled)
         self._ways = local_field.ways(mapper.travelled)
-        self._covariances: dict[int, Floats] = {}
         self.last = mapper.keyframe_count - 1 if keyframe is None else keyframe
         self.travelled = float(self._travelled[self.last])
+        self.uncertainty = RelativeUncertainty(mapper, self.last, doubted=doubted)
         poses = mapper.keyframe_poses
         self.pose = poses[self.last]
         self._apart, eligible = apart, np.ones(len(poses), dtype=bool) if among is None else among
@@ -139,62 +124,20 @@ class Look:
         near = np.hypot(*(self._mapper.keyframe_poses[self._old, :2] - pose[:2]).T) < REFERENCE_DISTANCE
         return int(self._old[near.argmax()]) if near.any() else None
 
-    def covariance(self, old: int) -> Floats:
-        """Return the covariance (3, 3) of the last keyframe's pose relative to an old one, in its own frame.
-
-        Where the errors that the estimate does not contain dominate, the rest is an upper bound, which costs little.
-        """
-        if old not in self._covariances:
-            self._find_covariances([old])
-        return self._covariances[old]
-
-    def _find_covariances(self, places: Sequence[int]) -> None:
-        """Find the covariances of the last keyframe's pose relative to some old ones."""
-        covariances, unknown = self._mapper.covariances, list[int]()
-        for old in places:
-            scale = float(self.error_scale(old, self.last))
-            bound = scale**2 * covariances.relative_bound(old, self.last, stored=True)
-            if not _is_minor(bound) and len(places) < MIN_TOGETHER:
-                bound = scale**2 * covariances.relative_bound(old, self.last, stored=False)
-            if _is_minor(bound):
-                self._covariances[old] = bound + np.diag(UNMODELLED_SIGMAS**2)
-            else:
-                unknown.append(old)
-        together = len(unknown) >= MIN_TOGETHER
-        found = covariances.relative_to_all(unknown, self.last) if together else ()
-        for row, old in enumerate(unknown):
-            estimated = found[row] if together else covariances.relative(old, self.last)
-            scale = float(self.error_scale(old, self.last))
-            self._covariances[old] = scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
-
-    def error_scale(self, keyframes: int | Integers, other: int) -> Floats:
-        """Return (...) the factors of the standard deviations of the motions from keyframes (...) to another one.
-
-        They are 1 unless the estimate is doubted. By the estimate, the errors of the n submaps between two keyframes
-        are independent, and their variances add. If an error is the same in all of them, as that of a lidar, a wheel or
-        a clock that no model contains, their standard deviations add instead: the sum is up to sqrt(n) times larger.
-        """
-        submaps = np.abs(self._travelled[other] - self._travelled[keyframes]) / SUBMAP_LENGTH
-        return np.asarray(np.sqrt(np.maximum(1.0, submaps)) if self.doubted else np.ones_like(submaps))
-
-    def is_certain(self, old: int) -> bool:
-        """Return True if the pose relative to an old keyframe is certain except for UNMODELLED_SIGMAS."""
-        return _is_minor(self.covariance(old) - np.diag(UNMODELLED_SIGMAS**2))
-
     def possible_places(self) -> list[int]:
         """Return the places where the robot may be by the uncertainty of the estimate.
 
         Places closer together than REFERENCE_DISTANCE are represented by the oldest of them.
         """
         poses, spread = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
-        deviations = self.error_scale(self._old, self.last) * (spread[self._old] + self._spread(spread))
+        deviations = self.uncertainty.error_scale(self._old, self.last) * (spread[self._old] + self._spread(spread))
         bound = SEARCH_DEVIATIONS * (deviations + UNMODELLED_SIGMAS[0])
         chosen = list[int]()
         for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
             if np.hypot(*(poses[chosen, :2] - poses[keyframe, :2]).T).min(initial=np.inf) > REFERENCE_DISTANCE:
                 chosen.append(keyframe)
-        self._find_covariances(chosen)
-        reach = {old: self.search_radius(old) + REFERENCE_DISTANCE for old in chosen}
+        self.uncertainty.find_covariances(chosen)
+        reach = {old: self.uncertainty.search_radius(old) + REFERENCE_DISTANCE for old in chosen}
         return [old for old in chosen if np.hypot(*(poses[old, :2] - self.pose[:2])) < reach[old]]
 
     def _spread(self, spread: Floats) -> float:
@@ -202,15 +145,7 @@ class Look:
         if not self._apart or not len(self._old):
             return float(spread[self.last])
         nearest = int(self._old[-1])
-        return float(spread[nearest] + self.deviation(nearest))
-
-    def deviation(self, old: int) -> float:
-        """Return the largest standard deviation (metres) of the position relative to an old keyframe."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance(old)[:2, :2])[-1]))
-
-    def search_radius(self, old: int) -> float:
-        """Return the metres by which the position relative to an old keyframe may be wrong."""
-        return SEARCH_DEVIATIONS * self.deviation(old)
+        return float(spread[nearest] + self.uncertainty.deviation(nearest))
 
     def relative(self, old: int, motion: se2.Pose) -> se2.Pose:
         """Return the pose of the submap in that of an old place, if the robot is moved in the map by `motion`."""
@@ -226,7 +161,7 @@ class Look:
 
     def squared_distance(self, old: int, relative: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose of the submap in that of an old place from the estimate."""
-        return squared_distance(self.relative(old, np.zeros(3)), relative, self.covariance(old))
+        return squared_distance(self.relative(old, np.zeros(3)), relative, self.uncertainty.covariance(old))
 
     def compared_points(self, old: int) -> tuple[Floats, Floats]:
         """Return the points of the submap (n, 2) and of that of an old place (m, 2), in the map."""
@@ -266,17 +201,17 @@ class Look:
         covariance = np.diag(UNMODELLED_SIGMAS**2) + covariance_after(match.covariance, over_old) + other.covariance
         if squared_distance(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE:
             return True
-        scale = float(self.error_scale(match.keyframe, other.keyframe))
+        scale = float(self.uncertainty.error_scale(match.keyframe, other.keyframe))
         covariance += scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
         return squared_distance(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
 
     def search(self, old: int) -> Sequence[SubmapMatch]:
         """Return the poses of the submap in that of an old place that the estimate's uncertainty admits."""
-        prediction, reach = self.relative(old, np.zeros(3)), self.search_radius(old)
+        prediction, reach = self.relative(old, np.zeros(3)), self.uncertainty.search_radius(old)
         if reach > REFERENCE_DISTANCE:  # the robot is near this place, or else near another one
             prediction = np.array([0.0, 0.0, prediction[2]])
         reach = min(REFERENCE_DISTANCE, reach)
-        turn = SEARCH_DEVIATIONS * float(np.sqrt(self.covariance(old)[2, 2]))
+        turn = SEARCH_DEVIATIONS * float(np.sqrt(self.uncertainty.covariance(old)[2, 2]))
         found = search_submap(self.submap, self.reference(old), prediction, reach, turn)
         return [match for match in found if self.admits(old, match.pose)]
 
@@ -301,11 +236,6 @@ class Look:
     def loop_match(self, old: int, match: SubmapMatch) -> LoopMatch:
         """Return a match as one that a loop can be closed with."""
         return LoopMatch(self.last, old, match.pose, match.covariance, self.travelled, match.fit, match.known)
-
-
-def _is_minor(covariance: Floats) -> bool:
-    """Return True if a covariance (3, 3) is below that of UNMODELLED_SIGMAS in every direction."""
-    return bool(np.linalg.eigvalsh(covariance / np.outer(UNMODELLED_SIGMAS, UNMODELLED_SIGMAS))[-1] <= 1.0)
 
 
 def _build(place: OldPlace, local_field: LocalField) -> Submap:

@@ -10,8 +10,8 @@ import numpy as np
 from drivers import se2
 
 from .decision import LoopMatch
-from .look import SUBMAP_LENGTH, Look
-from .submap_search import SubmapMatch
+from .look import Look
+from .submap_search import SUBMAP_LENGTH, SubmapMatch
 
 # Metres of driving without such a look after which the next one is another return.
 # Origin: definition, two submaps: those of the two looks do not overlap.

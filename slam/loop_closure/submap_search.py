@@ -25,6 +25,9 @@ from ..matching.point_costs import COARSE_SIGMA, MISFIT, UNSEEN, cost_at
 from ..matching.point_matcher import Prediction, match_from, point_cost
 from ..matching.scan_points import subsample
 
+# Metres of driving whose keyframes are the submap. Looks farther apart have no point in common.
+# Origin: chosen, about the size of a room; not measured.
+SUBMAP_LENGTH = 6.0
 # Metres and radians between the poses of the coarse grid. Origin: definition, half of what Gauss-Newton corrects at the
 # usual distance of a submap's points.
 SEARCH_STEP = 0.3

@@ -2,25 +2,15 @@
 
 Gauss-Newton on the interpolated vectors starts at each prediction, first with a wide kernel, then with a narrow one. If
 the best result fits badly, if no odometry narrows the prediction, or if time does not matter, the poses within the
-uncertainty of each prediction are searched exhaustively, and the best ones are improved in the same way. A pose is
-judged by a cost, minus the logarithm of its likelihood,
-
-    sum_k min(d_k^2 / (2 COARSE_SIGMA^2), MISFIT) / POINTS_PER_OBJECT + KERNEL^2 log(1 + e' P e / KERNEL^2) / 2
-        - log(det P) / 2 + c
-
-with the distance d_k of the cell of point k from the nearest point of the field on a surface that faces the same way,
-the difference e of the pose from the prediction, whose information is P, and the prediction's own cost c. Odometry's
-errors have heavy tails, hence the kernel. Points that do not fit come in groups: a person who stands in front of the
-robot is one event, hence POINTS_PER_OBJECT.
-
-People stop beams, but nothing lets beams through walls: in a crowd, a pose behind a wall could cost less than the true
-one. So matches near several predictions are compared by the beams that pass through known surfaces as well. With the
-share r of these beams at the pose where they are fewest, as people who have gone leave surfaces, each of them costs
-
-    log((1 - r) / r) / POINTS_PER_OBJECT
+uncertainty of each prediction are searched exhaustively, and the best ones are improved in the same way. Poses are
+compared by a cost, minus the logarithm of their likelihood: that of the distances of the points, that of the distance
+from the prediction, and the prediction's own. Matches near several predictions are compared by the beams that pass
+through known surfaces as well.
 
 A point in a cell that no beam has crossed neither supports a pose nor contradicts it: its cost is UNSEEN. So is that
 of a point beside a surface that faces elsewhere: it may be on the other side of a wall, seen for the first time.
+
+Equations: docs/mathematics.md#cost-of-a-pose and docs/mathematics.md#gauss-newton.
 """
 
 from __future__ import annotations
@@ -130,7 +120,7 @@ class PointMatch:
     pose         [x, y, heading] of the base in the map
     information  (3, 3) of the pose from the points alone, in the base's frame
     prediction   from which the pose was found
-    cost         see the module; lower is better
+    cost         minus the logarithm of the likelihood, see the module; lower is better
     fit          0 to 1: mean over the points in seen space of 1 - cost / MISFIT
     known        number of points in seen space
     """

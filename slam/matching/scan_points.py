@@ -66,7 +66,7 @@ def _in_units(points):  # type: ignore[no-untyped-def]
 
 
 def subsample(points: Floats, max_count: int) -> Floats:
-    """Return every k-th point, with the smallest k that leaves at most `max_count`."""
+    """Return every k-th of points (p, d), with the smallest k that leaves at most `max_count`."""
     return points[:: max(1, -(-len(points) // max_count))]
 
 

@@ -1,14 +1,10 @@
 """Right angles and parallels: hypotheses about the directions of walls, accepted if the joint covariance supports them.
 
-A wall belongs to a group of walls that are parallel or perpendicular to each other if its direction differs from that
-of the group, modulo 90 degrees, by d with the standard deviation s, and
-
-    |d| <= Z_EQUAL s                      the hypothesis is not refuted, and
-    |d| + z s <= MAX_SKEW                 a skew by MAX_SKEW or more is (Schuirmann 1987: two one-sided tests),
-
-with the quantile z of the normal distribution for ERROR_RATE divided by the number of walls. So a wall that is skewed
-by MAX_SKEW is hardly ever accepted, and one whose direction is too uncertain to tell stays as it is. Accepted
-hypotheses, A x = b, are imposed on all walls x by least squares,
+A wall belongs to a group of walls that are parallel or perpendicular to each other if its direction agrees with that
+of the group, and if a skew by MAX_SKEW or more is refuted (two one-sided tests, Schuirmann 1987; equations in
+docs/measuring.md#right-angles-and-parallels). So a wall that is skewed by MAX_SKEW is hardly ever accepted, and one
+whose direction is too uncertain to tell stays as it is. Accepted hypotheses, A x = b, are imposed on all walls x with
+the covariance C by least squares,
 
     x' = x - C A' (A C A')^-1 (A x - b),   C' = C - C A' (A C A')^-1 A C,
 

@@ -1,1 +1,1 @@
-"""Process recorded sessions: map merging, calibration and batches of recordings."""
+"""Process recorded sessions: refinement, map merging and comparison, corrections, calibration, batches."""

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..localisation.local_field import LocalField
-from ..loop_closure.look import SUBMAP_LENGTH
+from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.mapper import Mapper
 from .map_descriptor import describe_map, express_in_frame
 from .scanned_map import ScannedDrive, SubmapScan, scan_drive, scan_submap

@@ -1,16 +1,10 @@
-r"""Evidence for a placement of a map in another one, in nats, from how well the cells of both maps fit.
+"""Evidence for a placement of a map in another one, in nats, from how well the cells of both maps fit.
 
-A cell fits with a share $q$ of its points, those in space that the other map has seen; cells in unseen space are no
-evidence. Let $c_u$ be the probability that the cell u fits at a place that only looks alike. If the placement is right,
-the cell is as it was with probability $h$, and then fits with probability $r$, nearly 1; else it fits as by chance:
-$r_u = h\,r + (1 - h)\,c_u$. The evidence is the logarithm of the likelihood ratio,
+It is the logarithm of a likelihood ratio: to a place that only looks alike. There a cell fits with the chance that is
+counted at all other placements that were tried, where the mean of all cells counts as two more. So a bare wall that
+lies on a wall at every placement is no evidence, nor is a door among equal doors.
 
-    log mean_h prod_u r_u(h)^q_u (1 - r_u(h))^(1 - q_u)  -  max_{b <= 0} log prod_u c_u(b)^q_u (1 - c_u(b))^(1 - q_u),
-
-with $\operatorname{logit} c_u(b) = \operatorname{logit} c_u + b$: a place may look less alike than others, not more.
-$c_u$ is the share with which the cell fits at all other placements that were tried, and the mean
-of all cells there, which counts as two of them. So a bare wall that lies on a wall at every placement is no
-evidence, nor is a door among equal doors.
+Equations, whose symbols the code uses: docs/mathematics.md#unknown-start.
 """
 
 from __future__ import annotations
@@ -71,7 +65,7 @@ def chances_of_fit(placements: Sequence[CellFits]) -> Floats:
 
 
 def evidence_of(fits: CellFits, chance: Floats) -> float:
-    """Return the evidence (nats) of the known cells, given the `chance` (n,) of each cell to fit; see the module."""
+    """Return the evidence (nats) of the known cells, given the `chance` (n,) of each cell to fit."""
     fit, chance = fits.fit[fits.known], chance[fits.known]
     unchanged = UNCHANGED_PROBABILITIES[:, None]
     right = _log_likelihoods(fit, _logit(unchanged * MAX_FIT + (1.0 - unchanged) * chance))

@@ -19,8 +19,9 @@ from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
 from ..loop_closure.criteria import differ
 from ..loop_closure.decision import LoopDecision
-from ..loop_closure.look import SUBMAP_LENGTH, Look, Submaps
+from ..loop_closure.look import Look, Submaps
 from ..loop_closure.loop_status import LoopStatus
+from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
 from .drive_scans import DriveScans
@@ -39,11 +40,12 @@ def check_evidence(
     place, poses = decision.matches[-1].old, mapper.keyframe_poses
     look = Look(mapper, local_field, Submaps(), among, doubted=decision.doubted)
     first = look.keyframe_at(decision.matches[0].travelled - SUBMAP_LENGTH)
-    reach = _distances(poses[first:], poses[first]).max() + look.search_radius(place) + FIELD_HALF_WIDTH
+    reach = _distances(poses[first:], poses[first]).max() + look.uncertainty.search_radius(place) + FIELD_HALF_WIDTH
     travelled = np.asarray(mapper.travelled)
     old = among & (travelled < travelled[first] - SUBMAP_LENGTH) & (_distances(poses, look.pose) < reach)
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
-    location = locate(drive, known, DOUBTED if decision.doubted else RECOGNISED, Uncertainty(look.covariance(place)))
+    uncertainty = Uncertainty(look.uncertainty.covariance(place))
+    location = locate(drive, known, DOUBTED if decision.doubted else RECOGNISED, uncertainty)
     if location.accepted and not differ(look, location.members[-1].motion, decision.correction):
         return decision
     reason = f"the drive as a whole does not fit there: {location.reason}"

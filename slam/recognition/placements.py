@@ -18,11 +18,11 @@ from drivers import se2
 
 from ..geometry.pose_covariance import squared_distance
 from ..geometry.segments import Floats, Integers
-from ..loop_closure.look import MAX_SQUARED_DISTANCE
+from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
 from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
 from .map_index import align_candidates
-from .scanned_map import PlacedScan, ScannedDrive, ScannedMap
+from .scanned_map import PlacedSubmap, ScannedDrive, ScannedMap
 from .submap_alignment import align_submap, sample_walls
 
 # Placements that are compared, those first in which a submap has most wall length on walls of the other map.
@@ -45,11 +45,11 @@ class Uncertainty:
 
     covariance: Floats
 
-    def admits(self, submap: PlacedScan, pose: se2.Pose) -> bool:
+    def admits(self, submap: PlacedSubmap, pose: se2.Pose) -> bool:
         """Return True if a submap may be at a pose in the other map. No submap has drifted farther than the last."""
         return squared_distance(submap.pose, pose, self.covariance) < MAX_SQUARED_DISTANCE
 
-    def draw(self, submap: PlacedScan, random: np.random.Generator) -> se2.Pose:
+    def draw(self, submap: PlacedSubmap, random: np.random.Generator) -> se2.Pose:
         """Return a pose of a submap in the other map, drawn from those that are admitted with equal probability."""
         direction = random.standard_normal(3)
         direction *= random.random() ** (1.0 / 3.0) / np.linalg.norm(direction)

@@ -99,7 +99,7 @@ class SubmapScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlacedScan:
+class PlacedSubmap:
     """Submap in its own drive's map.
 
     scan    the submap
@@ -121,7 +121,7 @@ class ScannedDrive:
     relations  pose of the second submap of a pair in the frame of the first, and its covariance (3, 3) in its own frame
     """
 
-    submaps: Sequence[PlacedScan]
+    submaps: Sequence[PlacedSubmap]
     cells: int
     relations: Mapping[tuple[int, int], tuple[se2.Pose, Floats]]
 
@@ -168,7 +168,7 @@ def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDEN
     poses = [mapper.keyframe_poses[scan.keyframes[-1]] for scan in scans]
     moved = [_transform(pose, scan.points)[:, :2] for pose, scan in zip(poses, scans, strict=True)]
     grid = _CellGrid.of(*_bounds(np.concatenate([np.array(poses)[:, :2], *moved])), cell)
-    placed = [PlacedScan(scan, pose, grid.sort(scan.points, pose)) for scan, pose in zip(scans, poses, strict=True)]
+    placed = [PlacedSubmap(scan, pose, grid.sort(scan.points, pose)) for scan, pose in zip(scans, poses, strict=True)]
     return ScannedDrive(placed, grid.count, _relations(mapper, placed))
 
 
@@ -218,7 +218,7 @@ def _bounds(points: Floats) -> tuple[Floats, Floats]:
     return points[:, :2].min(axis=0), points[:, :2].max(axis=0)
 
 
-def _relations(mapper: Mapper, submaps: Sequence[PlacedScan]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
+def _relations(mapper: Mapper, submaps: Sequence[PlacedSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
     """Return the relative poses of submaps with the one before and the nearest earlier one, in both directions."""
     relations = {}
     for j in range(1, len(submaps)):

@@ -100,7 +100,6 @@ UV = np.array([0.31, -0.44])
         (conversions.polar_of_uv, UV),
         (conversions.uv_of_polar, np.array([1.4, 2.5])),
         (conversions.uv_of_implicit, np.array([0.6, 0.8, -2.0])),
-        (conversions.closest_point_of_uv, UV),
     ],
 )
 def test_conversion_jacobians(conversion: Callable[..., tuple[np.ndarray, np.ndarray]], at: np.ndarray) -> None:
@@ -108,18 +107,7 @@ def test_conversion_jacobians(conversion: Callable[..., tuple[np.ndarray, np.nda
     np.testing.assert_allclose(conversion(at)[1], numeric, atol=1e-7)
 
 
-def test_end_point_lies_on_line_and_ray() -> None:
-    point, in_uv, in_bearing = conversions.end_point(UV, -0.7)
-    assert UV @ point == pytest.approx(1.0)
-    assert np.arctan2(point[1], point[0]) == pytest.approx(-0.7)
-    np.testing.assert_allclose(in_uv, jacobian_of(lambda uv: conversions.end_point(uv, -0.7)[0], UV), rtol=1e-6)
-    numeric = jacobian_of(lambda bearing: conversions.end_point(UV, bearing[0])[0], np.array([-0.7]))
-    np.testing.assert_allclose(in_bearing, numeric[:, 0], rtol=1e-6)
-
-
 def test_conversions_are_inverse() -> None:
     polar, _ = conversions.polar_of_uv(UV)
     np.testing.assert_allclose(conversions.uv_of_polar(polar)[0], UV)
-    point, _ = conversions.closest_point_of_uv(UV)
-    assert UV @ point == pytest.approx(1.0)
-    assert np.hypot(*point) == pytest.approx(polar[0])
+    assert 1.0 / np.hypot(*UV) == pytest.approx(polar[0])

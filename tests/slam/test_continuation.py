@@ -19,7 +19,7 @@ from slam.io.output_dir import CONFIG
 from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
-from slam.optimisation import optimise
+from slam.offline.optimisation import optimise
 
 from .listeners import EventCollector
 

@@ -155,8 +155,9 @@ def test_sinks_receive_what_they_handle_and_the_rest_is_not_built(
     def fail(*_: object) -> None:
         raise AssertionError("an event was built that no sink receives")
 
-    for name in ("publisher.map_features", "publisher._keyframe_event", "graph.graph_estimate.residuals_of"):
+    for name in ("reporting.publisher.map_features", "reporting.publisher.keyframe_event"):
         monkeypatch.setattr(f"slam.{name}", fail)
+    monkeypatch.setattr("slam.graph.graph_estimate.residuals_of", fail)
     listener = Notices()
     run(drive, listener=listener)
     assert {type(event) for event in listener.events} == {ScanTracked}
@@ -172,7 +173,7 @@ def test_events_of_scans_are_not_built_if_no_sink_receives_them(
         def __new__(cls, *_: object, **__: object) -> NoReturn:
             raise AssertionError("an event was built that no sink receives")
 
-    monkeypatch.setattr("slam.publisher.ScanTracked", Unwanted)
+    monkeypatch.setattr("slam.reporting.publisher.ScanTracked", Unwanted)
     assert len(run(drive[:60], listener=Notices()).poses)
 
 
@@ -187,9 +188,9 @@ def test_scans_may_come_before_their_odometry(drive: list[Message], drive_result
 
 
 def test_without_scans_or_odometry_there_is_no_map(drive: list[Message]) -> None:
-    with pytest.raises(MapError, match="no laser scan in it"):
+    with pytest.raises(MapError, match="no laser scan, so there is nothing to map"):
         run([])
-    with pytest.raises(MapError, match="no laser scan in it"):
+    with pytest.raises(MapError, match="no laser scan, so there is nothing to map"):
         run(message for message in drive if isinstance(message, Odometry))
     with pytest.raises(MapError, match="scans, but no odometry"):
         run(message for message in drive if isinstance(message, Scan))

@@ -24,7 +24,7 @@ from slam.io.sessions import StoredSession, read_session, write_session
 from slam.io.sessions.plan_session import plan_session
 from slam.io.tum import Trajectory, read_tum
 from slam.mapping.plan_map import build_plan_map
-from slam.optimisation import optimise
+from slam.offline.optimisation import optimise
 
 from ..recordings import recording_folder
 

@@ -24,7 +24,10 @@ RETRIES = 2
 
 
 def batch(
-    recordings: Annotated[list[str], typer.Argument(help="Recordings: files, bags, simulations (sim:office?seed=3).")],
+    recordings: Annotated[
+        list[str],
+        typer.Argument(metavar="RECORDING", help="Recordings: files, bags, simulations (sim:office?seed=3)."),
+    ],
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Directory for the output directories of the recordings.")
     ],

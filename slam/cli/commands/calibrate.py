@@ -18,7 +18,9 @@ if TYPE_CHECKING:
 def calibrate(
     recording: Annotated[
         str,
-        typer.Argument(callback=refuse_results, help="Recording with left and right turns, as for `wclm run`."),
+        typer.Argument(
+            metavar="RECORDING", callback=refuse_results, help="Recording with left and right turns, as for `wclm run`."
+        ),
     ],
     wheel_radius: Annotated[
         float | None,

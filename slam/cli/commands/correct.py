@@ -17,7 +17,9 @@ if TYPE_CHECKING:
 
 
 def correct(
-    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`; changed unless --out is given.")],
+    session: Annotated[
+        Path, typer.Argument(metavar="SESSION", help="Output directory of `wclm run`; changed unless --out is given.")
+    ],
     close: Annotated[
         list[str] | None,
         typer.Option(
@@ -39,7 +41,7 @@ def correct(
     ] = None,
     delete_wall: Annotated[
         list[int] | None,
-        typer.Option("--delete-wall", metavar="WALL", min=0, help="Wall that is none: it is left out. Repeatable."),
+        typer.Option("--delete-wall", metavar="WALL", min=0, help="Wall that does not exist; left out. Repeatable."),
     ] = None,
     pins: Annotated[
         Path | None,

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import MapError
+from ...formatting import counted
 from ...io.host import versions
 from ...io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY, OutputDirectory
 from ...io.run_results import read_run_results, write_results
 from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
 from ...offline.corrections import CorrectedSession, correct_session
-from ...run_statistics import loop_counts, part_rows
+from ...reporting.run_statistics import loop_counts, part_rows
 from ..slam_run import write_report_page
 
 FILES = (TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY)
@@ -48,7 +49,7 @@ def write_corrected_session(
     write_report_page(target)
     if not corrections:
         return [f"{target}: no corrections"]
-    return [f"{target}: {len(corrected.finished.walls)} walls", *_lines(corrected.outcomes)]
+    return [f"{target}: {counted(len(corrected.finished.walls), 'wall')}", *_lines(corrected.outcomes)]
 
 
 def _copy_results(source: Path, directory: Path) -> None:

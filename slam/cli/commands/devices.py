@@ -17,7 +17,7 @@ CONSOLE = "not probed; to use it, switch the console off"
 def devices(
     specs: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[SPEC]...", help="Devices, e.g. rplidar:/dev/ttyUSB0; by default all serial ports."),
+        typer.Argument(metavar="SPEC", help="Devices, e.g. rplidar:/dev/ttyUSB0; by default all serial ports."),
     ] = None,
     watch: Annotated[bool, typer.Option("--watch", help="Start the devices and show their counters.")] = False,
     seconds: Annotated[

@@ -19,7 +19,9 @@ EXIT_INCOMPLETE = 1
 
 
 def evaluate(
-    trajectory: Annotated[Path, typer.Argument(help="Trajectory in TUM format: t x y z qx qy qz qw per line.")],
+    trajectory: Annotated[
+        Path, typer.Argument(metavar="TRAJECTORY", help="Trajectory in TUM format: t x y z qx qy qz qw per line.")
+    ],
     relations: Annotated[
         Path | None, typer.Option("--relations", help="Relations: true motions between poses (Kuemmerle et al. 2009).")
     ] = None,

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ...io.output_dir import refuse_results
-from ..options import SetOption
+from ..options import OtherRecordingArgument, SetOption
 
 if TYPE_CHECKING:
     from drivers.messages import Scan
@@ -28,7 +27,7 @@ class ExtractedScan(NamedTuple):
 
 
 def features(
-    recording: Annotated[str, typer.Argument(callback=refuse_results, help="Recording, as for `wclm run`.")],
+    recording: OtherRecordingArgument,
     scan: Annotated[int, typer.Option("--scan", min=0, help="Index of the scan, from 0.")],
     plot: Annotated[
         Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the scan and its features.")

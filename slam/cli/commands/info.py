@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 import shlex
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from ...io.output_dir import refuse_results
 from ..console import printable
+from ..options import OtherRecordingArgument
 
 if TYPE_CHECKING:
     from drivers import RecordingInfo
@@ -22,7 +22,7 @@ CALENDAR = 1e8
 
 
 def info(
-    recording: Annotated[str, typer.Argument(callback=refuse_results, help="Recording, as for `wclm run`.")],
+    recording: OtherRecordingArgument,
 ) -> None:
     """Describe a recording and report problems in its data: rates, gaps, stamps, beams, odometry.
 

@@ -28,7 +28,7 @@ WebAddressOption = Annotated[
         "--web-address",
         metavar="HOST[:PORT]",
         help="Address of the page, by default 127.0.0.1:8090; with any other than this computer's own, as 0.0.0.0, "
-        "the URL contains a password.",
+        "the URL contains a token.",
     ),
 ]
 StatusOption = Annotated[

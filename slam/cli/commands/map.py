@@ -11,7 +11,7 @@ import typer
 
 from ...formatting import counted
 from ..console import print_message, progress
-from ..options import OverwriteOption, RegularOption
+from ..options import OverwriteOption, RegularOption, SessionArgument
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,7 +36,7 @@ REGULAR = (Format.GEOJSON, Format.SVG, Format.DXF)
 
 
 def export_map(
-    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")],
+    session: SessionArgument,
     form: Annotated[
         Format,
         typer.Option(

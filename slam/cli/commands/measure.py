@@ -11,7 +11,7 @@ import typer
 
 from ...formatting import counted, percent
 from ..console import print_if_slow, print_message
-from ..options import OverwriteOption, RegularOption
+from ..options import OverwriteOption, RegularOption, SessionArgument
 
 if TYPE_CHECKING:
     from ...measuring.measured_map import MeasuredMap
@@ -30,10 +30,10 @@ class Format(StrEnum):
 
 
 def measure(
-    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")],
+    session: SessionArgument,
     walls: Annotated[
         list[int] | None,
-        typer.Argument(metavar="[WALL]...", help="Identities of walls, as in map.json; by default the whole map."),
+        typer.Argument(metavar="WALL", help="Identities of walls, as in map.json; by default the whole map."),
     ] = None,
     form: Annotated[
         Format,
@@ -114,13 +114,19 @@ def _as_text(measured: MeasuredMap) -> str:
         if one.room != room and one.room is not None:
             lines.append(f"room {one.room}: {percent(measured.rooms[one.room - 1].observed)} of the outline was seen")
         room = one.room
-        walls = "" if one.unit == "m2" or one.kind == "perimeter" else " " + " and ".join(map(str, one.walls))
-        lines.append(f"{'  ' if room is not None else ''}{one.kind}{walls}: {_with_deviation(one)}")
+        lines.append(f"{'  ' if room is not None else ''}{one.kind}{_of_walls(one)}: {_with_deviation(one)}")
     for opening in measured.openings:
-        walls = ", ".join(map(str, opening.walls))
+        walls = ("wall " if len(opening.walls) == 1 else "walls ") + ", ".join(map(str, opening.walls))
         rooms = " and ".join(f"room {number}" for number in opening.rooms)
         lines.append(f"{opening.name} in {walls}: {opening.width:.1f} m" + (f", to {rooms}" if rooms else ""))
     return "\n".join(lines) or "nothing to measure: no room is closed, and no walls are opposite each other"
+
+
+def _of_walls(one: Measurement) -> str:
+    """Return the wall that was measured, or both; nothing for a measurement of a whole room."""
+    if one.unit == "m2" or one.kind == "perimeter":
+        return ""
+    return f" of wall {one.walls[0]}" if len(one.walls) == 1 else f" between walls {' and '.join(map(str, one.walls))}"
 
 
 def _with_deviation(one: Measurement) -> str:

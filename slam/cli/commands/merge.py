@@ -22,7 +22,7 @@ MIN_SESSIONS = 2
 
 def merge(
     sessions: Annotated[
-        list[Path], typer.Argument(metavar="SESSION SESSION...", help="Output directories of runs in one building.")
+        list[Path], typer.Argument(metavar="SESSION", help="Output directories of two or more runs in one building.")
     ],
     out: OutOption,
     overwrite: OverwriteOption = False,
@@ -39,7 +39,7 @@ def merge(
     from ..run_summary import format_summary
 
     if len(sessions) < MIN_SESSIONS:
-        raise typer.BadParameter("at least two sessions are required", param_hint="SESSION SESSION...")
+        raise typer.BadParameter("at least two sessions are required", param_hint="SESSION")
     result = _merge(sessions, out, overwrite=overwrite, review=review, picture=plot)
     head, *rows = format_summary(result, out)
     joined_rows = [f"  {'joined':<11}{joined['session']}: {joined['reason']}" for joined in result.summary["joined"]]
@@ -58,8 +58,8 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
         from ...events import Notice
         from ...io.sessions import read_session, write_session
         from ...offline.map_merging import merge_sessions
-        from ...optimisation import optimise
-        from ...publisher import Publisher
+        from ...offline.optimisation import optimise
+        from ...reporting.publisher import Publisher
         from ...warmup import warm_up
 
         started = time.perf_counter()

@@ -101,7 +101,7 @@ def _optimise(
 ) -> dict[str, Any]:
     """Refine a session into a directory; return the summary of the original run with the new figures."""
     from ...io.sessions import write_session
-    from ...optimisation import optimise
+    from ...offline.optimisation import optimise
 
     with ExitStack() as log:
         sinks: list[Sink] = []

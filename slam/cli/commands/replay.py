@@ -18,7 +18,9 @@ def replay(
     recording: Annotated[
         str,
         typer.Argument(
-            callback=refuse_results, help="Recording, as for `wclm run`, or byte capture of a device (.tape)."
+            metavar="RECORDING",
+            callback=refuse_results,
+            help="Recording, as for `wclm run`, or byte capture of a device (.tape).",
         ),
     ],
     speed: Annotated[float, typer.Option("--speed", min=0.01, max=1000.0, help="Factor of the original speed.")] = 1.0,

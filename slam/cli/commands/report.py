@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..console import print_if_slow
-from ..options import OverwriteOption
+from ..options import OverwriteOption, SessionArgument
 
 if TYPE_CHECKING:
     from ...measuring.wall_map import WallMap
 
 
 def report(
-    session: Annotated[Path, typer.Argument(help="Output directory of `wclm run`.")],
+    session: SessionArgument,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE.html", help="Output file; by default report.html in SESSION.")
     ] = None,

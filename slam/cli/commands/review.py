@@ -31,7 +31,10 @@ STOP_TIMEOUT = 5.0
 def review(
     sessions: Annotated[
         list[Path],
-        typer.Argument(help="Output directories of `wclm run`, also unfinished, or log files; shown side by side."),
+        typer.Argument(
+            metavar="SESSION",
+            help="Output directories of `wclm run`, also unfinished, or log files; shown side by side.",
+        ),
     ],
     web: Annotated[bool, typer.Option("--web", help="Serve viewer and log for a browser until Ctrl-C.")] = False,
     address: Annotated[

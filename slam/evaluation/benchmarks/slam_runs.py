@@ -53,7 +53,7 @@ class RunSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class RunResult:
+class RunFigures:
     """Figures of one run.
 
     scored_by            kind of the errors: "relations" or "true path"
@@ -96,7 +96,7 @@ def list_runs(folder: Path | None, *, quick: bool = False, seed: int = 0) -> lis
     return [RunSpec(name, folder) for name in present] + [RunSpec(name, seed=seed) for name in WORLDS]
 
 
-def run_all(specs: Sequence[RunSpec]) -> Iterator[RunResult]:
+def run_all(specs: Sequence[RunSpec]) -> Iterator[RunFigures]:
     """Yield the results of the runs, one after the other, each in a separate process to measure its memory."""
     context = get_context("spawn")
     for spec in specs:
@@ -104,12 +104,12 @@ def run_all(specs: Sequence[RunSpec]) -> Iterator[RunResult]:
             yield pool.submit(run_once, spec).result()
 
 
-def run_once(spec: RunSpec) -> RunResult:
+def run_once(spec: RunSpec) -> RunFigures:
     """Run SLAM once and score it. Raises RecordingError, MapError."""
     return run_timed(spec)[0]
 
 
-def run_timed(spec: RunSpec) -> tuple[RunResult, MessageTimer]:
+def run_timed(spec: RunSpec) -> tuple[RunFigures, MessageTimer]:
     """Run SLAM once and return its result and all measured times. Raises RecordingError, MapError."""
     warm_up()
     slam, timer = Slam(), MessageTimer()
@@ -130,7 +130,7 @@ def run_timed(spec: RunSpec) -> tuple[RunResult, MessageTimer]:
         finished = slam.finish()
     path = Trajectory(finished.stamps, finished.poses)
     scored_by, error, median, rotation = _score(spec, path, truth)
-    result = RunResult(
+    result = RunFigures(
         name=spec.name,
         seed=spec.seed,
         scored_by=scored_by,
@@ -209,7 +209,7 @@ def _closures(finished: Finished) -> int:
     return int(loops.get(LoopStatus.ACCEPTED, 0))
 
 
-def result_table(results: Sequence[RunResult]) -> Iterator[str]:
+def result_table(results: Sequence[RunFigures]) -> Iterator[str]:
     """Yield the lines of a table."""
     yield (
         "run          scored by   scans  time s  dist m  error m  median  rotation deg  ms a scan  by reference  "
@@ -223,6 +223,6 @@ def result_table(results: Sequence[RunResult]) -> Iterator[str]:
         )
 
 
-def results_as_data(results: Sequence[RunResult]) -> list[dict[str, Any]]:
+def results_as_data(results: Sequence[RunFigures]) -> list[dict[str, Any]]:
     """Return the results as plain data for JSON."""
     return [asdict(result) for result in results]

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from ...errors import MapError
-from ...estimation.slam_state import Anchor, TrackingCheckpoint
+from ...estimation.tracking_checkpoint import Anchor, TrackingCheckpoint
 from ...graph.factors import GraphState
 from ...localisation.slip_statistics import SlipStatistics
 from ...localisation.tracking import PoseFix, TrackerState

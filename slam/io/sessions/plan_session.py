@@ -10,7 +10,8 @@ import numpy as np
 from features import LearnedNoise
 
 from ...config import Config
-from ...estimation.slam_state import Anchor, SlamState, TrackingCheckpoint
+from ...estimation.slam_state import SlamState
+from ...estimation.tracking_checkpoint import Anchor, TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...graph.factor_graph import FIRST_POSE_SIGMAS
 from ...localisation.local_field import REFERENCE_DISTANCE, LocalFieldState

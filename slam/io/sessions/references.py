@@ -13,8 +13,6 @@ from ...graph.factors import MATCH_KINDS, Factor, FactorKind, GraphState
 from ...mapping.landmark_table import NEVER_REMOVED, UNOBSERVED
 from ...mapping.landmarks import Landmarks
 
-Ids = NDArray[np.int64]
-
 TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, *MATCH_KINDS, FactorKind.PINNED_POSE)
 FROM_WALL = (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL)
 """Kinds of factors whose `first` is a wall."""

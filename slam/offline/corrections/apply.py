@@ -30,8 +30,8 @@ from ...mapping.convergence import converge
 from ...mapping.manual_changes import delete_wall, tie_walls
 from ...measuring.measurement import are_parallel
 from ...measuring.wall_map import WallMap
-from ...optimisation import summarise_session
-from ...publisher import Publisher
+from ...reporting.publisher import Publisher
+from ..optimisation import summarise_session
 from .loops import LoopCorrector
 from .pin_places import PinPlaces
 from .pins import apply_pins

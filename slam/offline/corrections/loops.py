@@ -16,12 +16,12 @@ from ...io.sessions import StoredSession
 from ...io.sessions.corrections import LoopForbidding, Place, PlaceClosing, ProposedClosing
 from ...loop_closure.closing import REVISIT_GAP, pull_together
 from ...loop_closure.decision import LoopDecision
-from ...loop_closure.look import SUBMAP_LENGTH, Look
+from ...loop_closure.look import Look
 from ...loop_closure.loop_status import LoopStatus
-from ...loop_closure.submap_search import SubmapMatch
+from ...loop_closure.submap_search import SUBMAP_LENGTH, SubmapMatch
 from ...mapping.part_gauge import motion_to_part, return_to_odometry
 from ...mapping.pass_separation import Pass, separate_pass
-from ...run_statistics import loop_row
+from ...reporting.run_statistics import loop_row
 from .detours import direct_motions, is_detour, without_detours
 from .joins import Separation, separation_of
 from .place_match import match_places

@@ -1,14 +1,10 @@
 """Adjustment of pins: the place of a map in the frame of a survey, and pins that are grossly wrong.
 
-The differences d between the surveyed values, moved into the map by a motion m, and the values of the map have the
-covariance C of both. With the Jacobian J of d by m, generalised least squares leaves the residuals r = d - J m. If
-pin i is wrong, its residuals E_i' r are shifted, and
+The surveyed values are compared with those of the map, by the covariance of both, at the place that fits them best by
+generalised least squares. The pin whose residuals are least probable (Baarda 1968) is left out and the rest is tested
+again, until no pin is significant at ERROR_RATE divided by the number of pins.
 
-    T_i = u' (E_i' P E_i)^-1 u,  u = E_i' P d,  P = C^-1 - C^-1 J (J' C^-1 J)^-1 J' C^-1
-
-has no longer the chi-square distribution with as many degrees of freedom as the pin has values (Baarda 1968). The pin
-with the least probable T_i is left out and the rest is tested again, until no pin is significant at ERROR_RATE divided
-by the number of pins.
+Equations, whose symbols the code uses: docs/corrections.md#wrong-pins.
 """
 
 from __future__ import annotations
@@ -34,7 +30,7 @@ MIN_REDUNDANCY = 1e-6
 MIN_DETERMINED = 1e-9
 """Ratio of the least to the largest eigenvalue of the scaled information of the motion if it is determined."""
 SEPARABLE = 0.99
-"""Share of the largest T_i from which another one is not distinguishable from it."""
+"""Share of the largest test statistic from which another one is not distinguishable from it."""
 MAX_ITERATIONS = 20
 CONVERGED = 1e-9
 """Metres and radians; a smaller step ends the iteration."""

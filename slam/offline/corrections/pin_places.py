@@ -98,7 +98,7 @@ class PinnedVariables:
         return result
 
     def covariance(self, values: Sequence[PinnedValue], motion: se2.Pose) -> Floats:
-        """Return the joint covariance of the values in the map; `motion` takes the survey into the map."""
+        """Return the joint covariance (m, m) of all m values in the map; `motion` takes the survey into the map."""
         size = sum(value.size for value in values)
         jacobian, noise, start = np.zeros((size, len(self._covariance))), np.zeros((size, size)), 0
         for value, target, row in zip(values, self._targets, self._rows, strict=True):

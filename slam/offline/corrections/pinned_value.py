@@ -35,7 +35,10 @@ class PinnedValue:
         return (1 if self.is_wall else 2) + (self.heading is not None)
 
     def differences(self, motion: se2.Pose) -> Floats:
-        """Return the surveyed values minus those of the map; `motion` takes the survey into the map."""
+        """Return the surveyed values minus those of the map, (size,) in metres and radians.
+
+        `motion` takes the survey into the map.
+        """
         x, y = se2.transform(motion, self.point) - self.estimate[:2]
         heading = float(self.estimate[2])
         values = [math.cos(heading) * y - math.sin(heading) * x] if self.is_wall else [x, y]

@@ -14,7 +14,8 @@ from ...errors import MapError
 from ...estimation.refinement import build_scan_history
 from ...estimation.refinement.iteration import motion_to_keyframe
 from ...estimation.refinement.scan_history import ScanHistory
-from ...estimation.slam_state import SlamState, TrackingCheckpoint
+from ...estimation.slam_state import SlamState
+from ...estimation.tracking_checkpoint import TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
 from ...localisation.local_field import MAX_PATH, LocalFieldState

@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers.path_length import path_length
 
+from ...formatting import counted
 from ...io.exports.svg_drawing import MAX_ELLIPSE
 from ...mapping.map_features import MapCorners, MapWalls
 from .style import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, Floats, ellipses, legend, metric_figure, save
@@ -35,7 +36,8 @@ def plot_map(
     The plot's extent is that of map and path; odometry may leave it. Raises OutputError.
     """
     drawn = np.concatenate([lines.end_points().reshape(-1, 2), poses[:, :2]])
-    subtitle = f"{len(lines)} walls, {len(corners)} corners, {path_length(poses[:, :2]):.1f} m driven"
+    sizes = f"{counted(len(lines), 'wall')}, {counted(len(corners), 'corner')}"
+    subtitle = f"{sizes}, {path_length(poses[:, :2]):.1f} m driven"
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
     if odometry is not None:
         dashes: dict[str, Any] = {"linestyle": (0, (4, 2)), "linewidth": 1.0}

@@ -11,6 +11,7 @@ import rerun as rr
 from drivers import se2
 
 from ...events import ComparedPoints, Correction, LoopDecided
+from ...formatting import counted
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
 from . import colours
@@ -184,7 +185,7 @@ def _describe(event: LoopDecided) -> str:
     """Return the decision as a line of the text log."""
     outcome = event.reason
     if event.status == LoopStatus.ACCEPTED:
-        outcome = f"{len(event.merged)} walls merged, the robot moved by {event.shift:.2f} m"
+        outcome = f"{counted(len(event.merged), 'wall')} merged, the robot moved by {event.shift:.2f} m"
     return f"loop {event.candidate} {event.status}: {outcome} (x{event.index} at x{event.old})"
 
 

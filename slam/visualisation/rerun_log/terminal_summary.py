@@ -66,10 +66,11 @@ def _read_summary(path: Path) -> dict[str, Any]:
 
 def _headline(data: SessionData) -> str:
     if data.summary:
-        counts = ", ".join(f"{data.summary.get(name, '?')} {name}" for name in ("keyframes", "walls", "corners"))
+        nouns = ("keyframe", "wall", "corner")
+        counts = ", ".join(counted(data.summary.get(f"{noun}s", "?"), noun) for noun in nouns)
         return f"{data.summary.get('recording', '?')}, {counts}"
     keyframes = {row.keyframe for row in rows(data.chunks, "/world/keyframe")}
-    return f"{len(keyframes)} keyframes"
+    return counted(len(keyframes), "keyframe")
 
 
 def _health(data: SessionData) -> Iterator[str]:
@@ -110,7 +111,7 @@ def _closures(data: SessionData) -> Iterator[str]:
     yield "loops       " + (loops_text(slam) or ", ".join(f"{n} {status}" for status, n in counts.items()) or "none")
     for decision in decisions:
         if decision["status"] not in NOT_APPLIED:
-            effect = f"moved by {decision['shift']:.2f} m, {decision['merged']} walls merged"
+            effect = f"moved by {decision['shift']:.2f} m, {counted(decision['merged'], 'wall')} merged"
             reason = f": {decision['reason']}" if decision["status"] == LoopStatus.RETRACTED else ""
             yield f"  {decision['status']:<10}x{decision['keyframe']} at x{decision['old']}, {effect}{reason}"
     for decision in by_margin([decision for decision in decisions if decision["status"] in NOT_APPLIED])[

@@ -305,7 +305,7 @@ def test_scip_replies_to_all_commands(bench: MakeBench) -> None:
     assert [reply.status for command in (scip.STOP, scip.LASER_ON, scip.USE_SCIP2) for reply in ask(command)] == [
         "00"
     ] * 3
-    clocks = [scip.parse_clock(reply.lines[0]) for _ in range(2) for reply in ask(scip.CLOCK)]
+    clocks = [scip.parse_clock(reply.lines[0]) for _ in range(2) for reply in ask(b"TM1\n")]
     assert clocks[0] is not None
     assert clocks[1] == pytest.approx(clocks[0] + 350, abs=3)
     (state,) = ask(scip.STATE)

@@ -226,7 +226,7 @@ def test_invalid_recordings_are_one_line_errors(
 @pytest.mark.parametrize(
     ("command", "words"),
     [
-        ("eval", "Missing argument 'trajectory'"),
+        ("eval", "Missing argument 'TRAJECTORY'"),
         ("eval a.tum", "exactly one of the two is required"),
         ("bench nothing", "No such command 'nothing'"),
         ("run a.clf --bogus", "No such option: --bogus"),
@@ -235,6 +235,14 @@ def test_invalid_recordings_are_one_line_errors(
 def test_wrong_arguments_are_one_line_errors_that_name_the_help(wclm: Any, command: str, words: str) -> None:
     name = command.split()[0]
     wclm.refuses(*command.split(), because=[words, f"{name} --help"])
+
+
+@pytest.mark.parametrize("command", ["run", "info", "map", "measure", "review", "simulate", "eval", "batch", "merge"])
+def test_usage_has_the_words_for_arguments_that_the_help_uses(wclm: Any, command: str) -> None:
+    usage = re.sub(r"\s+", " ", wclm(command, "--help").stdout)
+    arguments = re.search(r"\[OPTIONS\] (\S+)", usage)
+    assert arguments is not None
+    assert arguments[1].rstrip(".") in ("{RECORDING}", "{SESSION}", "{WORLD}", "{TRAJECTORY}")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root can read every file")

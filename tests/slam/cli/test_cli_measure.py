@@ -73,8 +73,8 @@ def test_named_walls_are_measured(wclm: Any, session: Path) -> None:
     facing = next(row for row in table(wclm("measure", session, "--format", "csv").stdout) if row["kind"] == "width")
     first, second = facing["walls"].split()
     lines = wclm("measure", session, first, second).stdout.splitlines()
-    assert any(line.startswith(f"distance {first} and {second}: ") and "±" in line for line in lines)
-    assert any(line.startswith(f"angle {first} and {second}: ") for line in lines)
+    assert any(line.startswith(f"distance between walls {first} and {second}: ") and "±" in line for line in lines)
+    assert any(line.startswith(f"angle between walls {first} and {second}: ") for line in lines)
 
 
 def test_drawings_have_a_dimension_for_each_side_of_the_room(wclm: Any, session: Path) -> None:

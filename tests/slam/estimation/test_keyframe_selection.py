@@ -13,7 +13,8 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation, load_worl
 from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.estimation.keyframe_selection import CLOSE_SHARE, MIN_EXPLAINED, is_due
-from slam.estimation.slam_state import Anchor, SlamState
+from slam.estimation.slam_state import SlamState
+from slam.estimation.tracking_checkpoint import Anchor
 from slam.io.sessions import read_session, write_session
 from slam.matching.point_matcher import Prediction
 

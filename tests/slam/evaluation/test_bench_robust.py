@@ -139,13 +139,13 @@ def test_worse_scores_than_odometrys_are_bold() -> None:
     none = replace(
         good, name="c", slam=PathScore(np.nan, np.nan, 0.2, 0.1), odometry=PathScore(np.nan, np.nan, 0.3, 0.3)
     )
-    failed = RobustResult("d", failed="no laser scan in it")
+    failed = RobustResult("d", failed="no laser scan")
     assert [result.worse for result in (good, bad, none, failed)] == [(), ("error", "conflict"), (), ()]
     table = [*TABLE_HEAD, *map(table_row, (good, bad, none, failed))]
     assert len({line.count("|") for line in table}) == 1
     assert "| **1.200** / 1.000 |" in table[3]
     assert "| 0.301 / 0.300 |" in table[3]
-    assert "no map: no laser scan in it" in table[5]
+    assert "no map: no laser scan" in table[5]
 
 
 def test_the_command_prints_a_table_or_one_line_of_json(wclm: Any, folder: Path, monkeypatch: Any) -> None:

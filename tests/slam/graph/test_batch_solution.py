@@ -10,7 +10,7 @@ from gtsam.symbol_shorthand import C, L, P, X
 
 from drivers import se2
 from slam.graph.factor_graph import FactorGraph
-from slam.graph.final_solution import relinearize_all
+from slam.graph.final_solution import solve_with_range_bias
 from slam.graph.graph_storage import graph_state
 
 from .test_array_graph import graph_of_all_kinds
@@ -20,7 +20,7 @@ def solved_graph() -> FactorGraph:
     """Return a graph whose optimum is found."""
     graph = graph_of_all_kinds(np.random.default_rng(4))
     for _ in range(5):
-        relinearize_all(graph)
+        solve_with_range_bias(graph)
     return graph
 
 

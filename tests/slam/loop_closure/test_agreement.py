@@ -13,9 +13,10 @@ from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.criteria import MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision, LoopMatch
-from slam.loop_closure.look import SUBMAP_LENGTH, Look, Submaps
+from slam.loop_closure.look import Look, Submaps
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
+from slam.loop_closure.submap_search import SUBMAP_LENGTH
 from slam.mapping.landmarks import Landmarks
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints

@@ -33,7 +33,7 @@ from slam.mapping.convergence import converge
 from slam.offline.map_merging import merge_sessions
 from slam.offline.map_merging.session_scans import drive_of, map_of
 from slam.offline.map_merging.transfer import clock_shift, shift_clock
-from slam.optimisation import optimise
+from slam.offline.optimisation import optimise
 from slam.recognition.location import OVERLAP, Expectation, Location, PlacedSubmap, locate
 
 from ...recordings import recording_file

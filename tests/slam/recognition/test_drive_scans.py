@@ -14,7 +14,7 @@ from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.estimation.slam_state import SlamState
 from slam.io.tum import Trajectory
-from slam.loop_closure.look import SUBMAP_LENGTH
+from slam.loop_closure.submap_search import SUBMAP_LENGTH
 from slam.recognition import drive_scans
 from slam.recognition.drive_scans import DriveScans
 from slam.recognition.location import LOST, locate

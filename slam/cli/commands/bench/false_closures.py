@@ -14,7 +14,7 @@ from .output import JsonOption
 
 
 def bench_false_closures(
-    recording: Annotated[str, typer.Argument(help="Recording, as for `wclm run`.")],
+    recording: Annotated[str, typer.Argument(metavar="RECORDING", help="Recording, as for `wclm run`.")],
     relations: Annotated[
         Path,
         typer.Option(

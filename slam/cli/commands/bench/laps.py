@@ -8,7 +8,7 @@ import typer
 
 
 def bench_laps(
-    world: Annotated[str, typer.Argument(help="Name of a built-in world.")] = "office",
+    world: Annotated[str, typer.Argument(metavar="WORLD", help="Name of a built-in world.")] = "office",
     laps: Annotated[int, typer.Option("--laps", min=1, help="Number of laps of the world's path.")] = 10,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the sensor noise.")] = 0,
 ) -> None:

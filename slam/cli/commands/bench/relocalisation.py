@@ -8,7 +8,9 @@ import typer
 
 
 def bench_relocalisation(
-    recording: Annotated[str, typer.Argument(help="Recording, split into two halves of equal duration.")],
+    recording: Annotated[
+        str, typer.Argument(metavar="RECORDING", help="Recording, split into two halves of equal duration.")
+    ],
     elsewhere: Annotated[
         str | None,
         typer.Option(

@@ -14,7 +14,7 @@ from .timing import resolve_timing
 
 
 def bench_residuals(
-    recordings: Annotated[list[str], typer.Argument(metavar="RECORDING...", help="Recordings, as for `wclm run`.")],
+    recordings: Annotated[list[str], typer.Argument(metavar="RECORDING", help="Recordings, as for `wclm run`.")],
     as_json: JsonOption = False,
 ) -> None:
     """Test the noise model of walls on recordings: residuals of observations, and maps of two halves of a drive.

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from .estimation.estimator import ScanResult
-from .estimation.slam_state import SlamState
-from .estimation.stage_timer import StageTimer
-from .events import Notice
-from .preprocessing.preprocessor import ProcessedScan
+from ..estimation.estimator import ScanResult
+from ..estimation.slam_state import SlamState
+from ..estimation.stage_timer import StageTimer
+from ..events import Notice
+from ..preprocessing.preprocessor import ProcessedScan
 from .publisher import Publisher
 from .run_statistics import RunStatistics
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import bisect
-import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
@@ -12,17 +11,14 @@ import numpy as np
 
 from drivers import se2
 
-from .checks import Suspect
-from .estimation.map_view import covariances_when_last_seen, map_features
-from .estimation.scan_update import KeyframeUpdate
-from .estimation.stage_timer import StageTimer
-from .events import (
-    ComparedPoints,
-    Correction,
+from ..checks import Suspect
+from ..estimation.map_view import covariances_when_last_seen, map_features
+from ..estimation.scan_update import KeyframeUpdate
+from ..estimation.stage_timer import StageTimer
+from ..events import (
     Event,
     GraphInspected,
     KeyframeAdded,
-    LoopCheck,
     LoopDecided,
     MapUpdated,
     Notice,
@@ -33,14 +29,14 @@ from .events import (
     WallsMerged,
     WallsRemoved,
 )
-from .localisation.state import LocalisationState
-from .localisation.tracking import TrackingResult, TrackingStatus
-from .loop_closure.decision import LoopDecision
-from .loop_closure.loop_status import LoopStatus
-from .mapping.mapper import Mapper
-from .odometry.error_model import OdometryModel
+from ..localisation.state import LocalisationState
+from ..localisation.tracking import TrackingResult, TrackingStatus
+from ..loop_closure.decision import LoopDecision
+from ..mapping.mapper import Mapper
+from ..odometry.error_model import OdometryModel
+from ..preprocessing.preprocessor import ProcessedScan
+from .event_contents import keyframe_event, loop_event, settled_keyframe_event
 from .odometry_deviations import OdometryDeviations
-from .preprocessing.preprocessor import ProcessedScan
 
 # Keyframes between two events with the whole map.
 MAP_INTERVAL = 20
@@ -131,12 +127,12 @@ class Publisher:
         """Publish the last keyframe, its changes of the map, and at intervals the whole map."""
         index, stamp = mapper.keyframe_count - 1, scan.stamp
         if self._is_received(KeyframeAdded):
-            self.publish(_keyframe_event(scan, mapper, update, sigma_range, dict(timer.laps)))
+            self.publish(keyframe_event(scan, mapper, update, sigma_range, dict(timer.laps)))
         if update.merge is not None:
             merge = update.merge
             self.publish(WallsMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))
         if update.loop is not None and self._is_received(LoopDecided):
-            self.publish(_loop_event(update.loop, stamp, mapper, update.superseded))
+            self.publish(loop_event(update.loop, stamp, mapper, update.superseded))
         if update.superseded is not None:
             self.publish_map(stamp, mapper)
             self.publish_residuals(stamp, mapper)
@@ -148,43 +144,21 @@ class Publisher:
     def publish_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper) -> None:
         """Publish a retracted closure, and the map without it."""
         if self._is_received(LoopDecided):
-            self.publish(_loop_event(decision, stamp, mapper, superseded))
+            self.publish(loop_event(decision, stamp, mapper, superseded))
         self.publish_map(stamp, mapper)
         self.publish_residuals(stamp, mapper)
 
     def publish_rejected_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper) -> None:
         """Publish the decision against a hypothesis that was given up."""
         if self._is_received(LoopDecided):
-            self.publish(_loop_event(decision, stamp, mapper, None))
+            self.publish(loop_event(decision, stamp, mapper, None))
 
     def publish_keyframes(self, mapper: Mapper, scans: Mapping[int, ProcessedScan], sigma_range: float) -> None:
         """Publish all keyframes of a finished map; `scans` are theirs, by keyframe."""
         if not self._is_received(KeyframeAdded):
             return
         for index, scan in scans.items():
-            landmark_ids = mapper.landmark_ids[index]
-            self.publish(
-                KeyframeAdded(
-                    index=index,
-                    stamp=scan.stamp,
-                    pose=mapper.keyframe_poses[index],
-                    pose_covariance=mapper.covariances.of_keyframe(index),
-                    odometry=scan.odometry,
-                    points=scan.features.points.xy,
-                    segments=scan.features.segments,
-                    corners=scan.features.corners,
-                    wall_match=landmark_ids.walls,
-                    wall_gate=np.full(len(landmark_ids.walls), np.nan),
-                    wall_nearest=np.full_like(landmark_ids.walls, -1),
-                    corner_match=landmark_ids.corners,
-                    corner_gate=np.full(len(landmark_ids.corners), np.nan),
-                    corner_nearest=np.full_like(landmark_ids.corners, -1),
-                    new_walls=np.zeros(0, dtype=np.int64),
-                    sigma_range=sigma_range,
-                    timings={},
-                    counts=_sizes(mapper),
-                )
-            )
+            self.publish(settled_keyframe_event(index, scan, mapper, sigma_range))
 
     def publish_map(self, stamp: float, mapper: Mapper, index: int | None = None) -> None:
         """Publish the whole map, as it is after the last keyframe or after the one of `index`."""
@@ -224,73 +198,3 @@ class Publisher:
             self._publish_removed(mapper.keyframe_count - 1, stamp, mapper)
             self._inspected_keyframes = mapper.keyframe_count
             self.publish(GraphInspected(mapper.keyframe_count - 1, stamp, mapper.graph.residuals()))
-
-
-def _sizes(mapper: Mapper) -> dict[str, int]:
-    """Return the sizes of map and graph."""
-    landmarks = mapper.landmarks
-    return {"walls": len(landmarks.walls), "corners": len(landmarks.corners), "factors": mapper.graph.factor_count}
-
-
-def _keyframe_event(
-    scan: ProcessedScan, mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
-) -> KeyframeAdded:
-    view = update.observations
-    return KeyframeAdded(
-        index=mapper.keyframe_count - 1,
-        stamp=scan.stamp,
-        pose=mapper.pose,
-        pose_covariance=mapper.covariances.of_last(),
-        odometry=scan.odometry,
-        points=scan.features.points.xy,
-        segments=view.segments,
-        corners=view.corners,
-        wall_match=view.association.walls,
-        wall_gate=view.association.wall_distance,
-        wall_nearest=view.association.nearest_wall,
-        corner_match=view.association.corners,
-        corner_gate=view.association.corner_distance,
-        corner_nearest=view.association.nearest_corner,
-        new_walls=view.new_walls,
-        sigma_range=sigma_range,
-        timings=timings,
-        counts=_sizes(mapper),
-    )
-
-
-def _loop_event(decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper | None) -> LoopDecided:
-    recent, old = decision.compared
-    return LoopDecided(
-        index=decision.keyframe,
-        stamp=stamp,
-        candidate=decision.candidate,
-        old=decision.old,
-        motion=decision.motion,
-        status=decision.status,
-        reason=decision.reason,
-        overlap_ratio=decision.fit,
-        matches=len(decision.matches),
-        runner_up=decision.runner_up,
-        sigma=decision.sigma,
-        contradicted=decision.contradicted,
-        merged=decision.merged,
-        shift=decision.shift,
-        margin=decision.margin,
-        checks=tuple(LoopCheck(t.name, float(t.value), t.gate, t.at_least, t.passed) for t in decision.checks),
-        compared=ComparedPoints(recent, se2.transform(decision.correction, recent), old),
-        correction=None if superseded is None else _correction(decision, mapper, superseded),
-    )
-
-
-def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> Correction:
-    """Return how the keyframes up to that of the decision moved: retracting a closure estimates later ones again."""
-    count = decision.keyframe + 1
-    closed = decision.status == LoopStatus.ACCEPTED
-    return Correction(
-        keyframes_before=superseded.graph.keyframe_poses(count),
-        keyframes=mapper.graph.keyframe_poses(count),
-        walls_before=map_features(superseded)[0],
-        chi2_before=superseded.graph.chi2(),
-        chi2_strained=mapper.graph.chi2_at(superseded.graph) if closed else math.nan,
-        chi2=mapper.graph.chi2(),
-    )

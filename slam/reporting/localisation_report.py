@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from .estimation.estimator import Estimator, ScanResult
-from .events import Notice, Relocalised
-from .localisation.state import LocalisationEvent, LocalisationState, LocalisationStateMachine
+from ..estimation.estimator import Estimator, ScanResult
+from ..events import Notice, Relocalised
+from ..localisation.state import LocalisationEvent, LocalisationState, LocalisationStateMachine
 from .publisher import Publisher
 from .run_statistics import RunStatistics
 

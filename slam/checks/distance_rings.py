@@ -38,7 +38,7 @@ RING_LIKELIHOODS = np.exp(-(RING_DISTANCES**2 - RING_DISTANCES[0] ** 2) / (2 * F
 MAX_COMPARED_POINTS = 120
 
 
-class LocalField:
+class DistanceRings:
     """Grid of the distances to the points of some scans."""
 
     def __init__(self) -> None:
@@ -61,7 +61,7 @@ class LocalField:
 
 
 def compared_points(points: Floats) -> Floats:
-    """Return at most MAX_COMPARED_POINTS of a scan's points, evenly chosen."""
+    """Return (q, 2) at most MAX_COMPARED_POINTS of a scan's points (p, 2), evenly chosen."""
     return np.ascontiguousarray(points[:: max(1, -(-len(points) // MAX_COMPARED_POINTS))])
 
 

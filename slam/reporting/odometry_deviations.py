@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers import se2
 
-from .events import Notice
+from ..events import Notice
 
 # Metres and radians by which odometry must deviate from the scans since the last tracked one for a warning; less is
 # usual for worn wheels. Origin: chosen; not measured.

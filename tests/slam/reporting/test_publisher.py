@@ -8,7 +8,7 @@ import pytest
 
 from slam.events import Event, Notice
 from slam.localisation.tracking import TrackingStatus
-from slam.publisher import Publisher
+from slam.reporting.publisher import Publisher
 
 
 class Notices:

@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from .checks.adapter import drive_of, unconnected_parts
-from .checks.report import find_suspects
-from .errors import MapError
-from .estimation.map_view import final_result
-from .estimation.refinement import refine
-from .estimation.wall_bends import settle_wall_bends
-from .events import Finished, Notice, Sink
-from .geometry.segments import Floats
-from .io.sessions import StoredSession
-from .localisation.tracking import PoseFix
-from .mapping.convergence import converge
-from .mapping.mapper import Mapper
-from .mapping.odometry_segments import OdometrySegments
-from .publisher import Publisher
+from ..checks.adapter import drive_of, unconnected_parts
+from ..checks.report import find_suspects
+from ..errors import MapError
+from ..estimation.map_view import final_result
+from ..estimation.refinement import refine
+from ..estimation.wall_bends import settle_wall_bends
+from ..events import Finished, Notice, Sink
+from ..geometry.segments import Floats
+from ..io.sessions import StoredSession
+from ..localisation.tracking import PoseFix
+from ..mapping.convergence import converge
+from ..mapping.mapper import Mapper
+from ..mapping.odometry_segments import OdometrySegments
+from ..reporting.publisher import Publisher
 
 # Number of keyframes with the largest shifts in the summary.
 LISTED_SHIFTS = 5

@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from .estimation.scan_update import KeyframeUpdate
-from .estimation.slam_state import SlamState
-from .estimation.stage_timer import StageTimer
-from .graph.range_bias import RangeBias
-from .localisation.state import LocalisationState, LocalisationStatus
-from .localisation.tracking import TrackingResult, TrackingStatus
-from .loop_closure.decision import LoopDecision
-from .loop_closure.loop_status import LoopStatus
-from .loop_closure.returns import summarise
-from .mapping.mapper import Mapper
-from .odometry.error_model import OdometryModel
-from .preprocessing.preprocessor import Preprocessor
+from ..estimation.scan_update import KeyframeUpdate
+from ..estimation.slam_state import SlamState
+from ..estimation.stage_timer import StageTimer
+from ..graph.range_bias import RangeBias
+from ..localisation.state import LocalisationState, LocalisationStatus
+from ..localisation.tracking import TrackingResult, TrackingStatus
+from ..loop_closure.decision import LoopDecision
+from ..loop_closure.loop_status import LoopStatus
+from ..loop_closure.returns import summarise
+from ..mapping.mapper import Mapper
+from ..odometry.error_model import OdometryModel
+from ..preprocessing.preprocessor import Preprocessor
 
 DECIDED = (LoopStatus.REJECTED, LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
 """Statuses of loops that a run counts."""
@@ -31,15 +31,16 @@ DECIDED = (LoopStatus.REJECTED, LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
 class RunStatistics:
     """Counts and times of a run.
 
-    slipped_scans      at which odometry was far off
-    failed_scans      fitted nowhere near
-    featureless_scans  with too little wall and too few points
-    lost_scans        taken while the robot was lost
-    states            stamp and localisation state at each change
-    loops             every loop decision with its scores, see `loop_row`
-    overlap_ratios    of all tracked scans
-    keyframe_times    milliseconds of each keyframe
-    stage_times       milliseconds of all keyframes, by stage
+    slipped_scans      scans from which odometry was far off
+    failed_scans       scans that fitted nowhere near their predicted poses
+    featureless_scans  scans with too little wall and too few points
+    lost_scans         scans taken while the robot was LOST
+    states             stamp (seconds) and localisation state at each change
+    merged_walls       walls that were merged with another one
+    loops              every loop decision with its scores, see `loop_row`
+    overlap_ratios     of all tracked scans
+    keyframe_times     milliseconds of each keyframe
+    stage_times        milliseconds of all keyframes, by stage
     """
 
     slipped_scans: int = 0
