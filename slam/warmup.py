@@ -65,6 +65,16 @@ INTERVAL = 0.1
 CONFIG = Config.model_validate({"mapping": {"keyframe_distance": 3 * STEP}})
 """Default settings, with so many keyframes that a drive through a small room calls everything."""
 
+COMPILATION = """
+import gc, os
+from slam.cli import COLLECTION_THRESHOLD
+gc.set_threshold(COLLECTION_THRESHOLD)
+os.environ["NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING"] = "1"  # numba colours messages that nobody sees
+from slam.warmup import {0}
+{0}()
+"""
+"""Program of a process that compiles."""
+
 
 def warm_up() -> None:
     """Compile, or load from disk, everything that a run with default settings calls."""
@@ -86,11 +96,10 @@ def warm_up() -> None:
 
 def _compile_in_processes(parts: Sequence[Callable[[], None]]) -> None:
     """Call functions of this module at the same time, each in a process; they are ended with this one."""
-    code = "from slam.warmup import {0}; {0}()"
     processes = []
     try:
         for part in parts:
-            processes.append(subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]))
+            processes.append(subprocess.Popen([sys.executable, "-c", COMPILATION.format(part.__name__)]))
         for process in processes:
             process.wait()
     finally:  # also if a signal ends the command: they would keep the processors and the terminal for a minute
