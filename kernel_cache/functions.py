@@ -27,7 +27,7 @@ def compile_cached(function: Callable[Arguments, Result], **options: Any) -> Cal
     `no_cpython_wrapper` is compiled as a part of compiled functions only.
     """
     # without a second entry for callers in C, which would be compiled, and optimised, with each function
-    dispatcher: Callable[Arguments, Result] = njit(cache=True, no_cfunc_wrapper=True, **options)(function)
+    dispatcher: Callable[Arguments, Result] = njit(cache=True, **options | {"no_cfunc_wrapper": True})(function)
     stats = getattr(dispatcher, "stats", None)  # None if NUMBA_DISABLE_JIT is set
     if stats is not None:
         compile_once_for_literals(dispatcher)
