@@ -45,6 +45,7 @@ def inlined(function: Callable[Arguments, Result]) -> Callable[Arguments, Result
 
     To pass arrays to a function takes as long as some dozens of operations. LLVM itself inlines only the smallest ones.
     The function must not create arrays: it is compiled without the counts of references to them, whose updates, atomic
-    operations, would take longer than the rest of many a function.
+    operations, would take longer than the rest of many a function. It is compiled as a part of them only: Python runs
+    its source.
     """
-    return compile_cached(function, forceinline=True, _nrt=False)
+    return compile_cached(function, forceinline=True, _nrt=False, no_cpython_wrapper=True)

@@ -20,6 +20,11 @@ def compiled(function: Callable[Arguments, Result]) -> Callable[Arguments, Resul
     return compile_cached(function, error_model="numpy", forceinline=True, _nrt=False)
 
 
+def inlined(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Compile scalar code as `compiled` does, but only as a part of compiled functions: Python runs its source."""
+    return compile_cached(function, error_model="numpy", forceinline=True, _nrt=False, no_cpython_wrapper=True)
+
+
 def vectorised(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
     """Compile sums over rays. Sums may be reordered for vector units; NaN and infinity keep their meaning."""
     return compile_cached(function, error_model="numpy", fastmath={"reassoc", "contract", "nsz", "arcp"}, _nrt=False)

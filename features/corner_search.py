@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .compiled import compiled
+from .compiled import inlined
 from .corner import intersect, parallel
 from .curves import curve_evidence
 from .feature_buffers import FeatureBuffers
@@ -27,7 +27,7 @@ MAX_CORNER_RAYS = 8
 MAX_CORNER_SIGMA = 0.3
 
 
-@compiled
+@inlined
 def find_corner(
     rays: Rays,
     count: int,

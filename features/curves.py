@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from .compiled import compiled
+from .compiled import inlined
 from .rays import Rays, wrap_index
 from .settings import Settings
 from .types import Flags, Floats, Integers
@@ -37,7 +37,7 @@ class Frame(NamedTuple):
     rise: float
 
 
-@compiled
+@inlined
 def chord_frame(first: Floats, second: Floats) -> Frame:
     """Return the frame between the end of the line `first` and the start of the line `second`."""
     ax, ay = first[8] - first[6], first[9] - first[7]
@@ -49,7 +49,7 @@ def chord_frame(first: Floats, second: Floats) -> Frame:
     return Frame(0.5 * (first[8] + second[6]), 0.5 * (first[9] + second[7]), tx / size, ty / size, rise)
 
 
-@compiled
+@inlined
 def to_frame(
     distance: float, cos: float, sin: float, frame: Frame, rise: float, settings: Settings
 ) -> tuple[float, float, float]:
@@ -63,7 +63,7 @@ def to_frame(
     return x, y, range_variance * along * along + (settings.sigma_bearing * across) ** 2
 
 
-@compiled
+@inlined
 def fit_parabola(
     rays: Rays, count: int, begin: int, middle: int, end: int, frame: Frame, settings: Settings
 ) -> tuple[float, float, float]:
@@ -89,7 +89,7 @@ def fit_parabola(
     )
 
 
-@compiled
+@inlined
 def chi2_difference(
     rays: Rays,
     count: int,
@@ -116,7 +116,7 @@ def chi2_difference(
     return total
 
 
-@compiled
+@inlined
 def arc_chi2(line: Floats, count: int, curvature: float, settings: Settings) -> float:
     """Return the expected chi-square of an arc of the given curvature about this chord of it."""
     dx, dy = line[8] - line[6], line[9] - line[7]
@@ -124,7 +124,7 @@ def arc_chi2(line: Floats, count: int, curvature: float, settings: Settings) -> 
     return float(count * ARC_MEAN_SQUARE * height * height / (settings.sigma_range**2 + settings.roughness**2))
 
 
-@compiled
+@inlined
 def curve_evidence(
     rays: Rays,
     count: int,
@@ -157,7 +157,7 @@ def curve_evidence(
     return evidence if math.isfinite(evidence) else math.inf
 
 
-@compiled
+@inlined
 def remove_curve_corners(corners: Floats, pairs: Integers, curved: Flags, corner_count: int) -> int:
     """Remove corners on curves, mark lines that are chords in `curved`, and return the number of corners left.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from .compiled import compiled
+from .compiled import compiled, inlined
 from .corner_search import find_corner
 from .curves import remove_curve_corners
 from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
@@ -52,7 +52,7 @@ MAX_CHI2 = 4.0
 TRIMMED_RAYS = 1
 
 
-@compiled
+@inlined
 def within_gate(inverse: float, cos: float, sin: float, u: float, v: float, settings: Settings) -> bool:
     """Return True if a ray is within the inlier gate of the line; also if the line is NaN."""
     p, t = u * cos + v * sin, v * cos - u * sin
@@ -61,13 +61,13 @@ def within_gate(inverse: float, cos: float, sin: float, u: float, v: float, sett
     return not residual * residual > INLIER_GATE * variance
 
 
-@compiled
+@inlined
 def lies_on(rays: Rays, ray: int, u: float, v: float, settings: Settings) -> bool:
     """Return True if the ray with index `ray` is within the inlier gate of the line."""
     return within_gate(rays.inverse[ray], rays.cos[ray], rays.sin[ray], u, v, settings)
 
 
-@compiled
+@inlined
 def select_inliers(part: RaySlice, u: float, v: float, settings: Settings, buffer: RaySlice) -> RaySlice:
     """Return the rays within the inlier gate of the line, copied into `buffer`."""
     kept = 0
@@ -78,7 +78,7 @@ def select_inliers(part: RaySlice, u: float, v: float, settings: Settings, buffe
     return first_rays(buffer, kept)
 
 
-@compiled
+@inlined
 def fit_segment(
     rays: Rays,
     count: int,
@@ -148,7 +148,7 @@ def fit_segment(
     return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, estimated
 
 
-@compiled
+@inlined
 def fit_segments(
     rays: Rays,
     count: int,

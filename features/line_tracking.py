@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from .compiled import compiled
+from .compiled import inlined
 from .normal_equations import set_column, sums_over, zero_sums
 from .rays import Rays
 from .segments import Segments, add_rays, append_segment, line
@@ -17,7 +17,7 @@ from .segments import Segments, add_rays, append_segment, line
 PAPER_DISTANCE = 0.02
 
 
-@compiled
+@inlined
 def track_lines(rays: Rays, count: int, distance: float, segments: Segments) -> int:
     """Divide the rays of a scan into segments by tracking, and return their number."""
     segment_count = 0

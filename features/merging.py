@@ -5,7 +5,7 @@ The test is exact: the increase of chi-square by a common line is the squared Ma
 
 from __future__ import annotations
 
-from .compiled import compiled
+from .compiled import inlined
 from .normal_equations import sums_over
 from .rays import MISSING_STEPS, TURN, Rays, distance_squared, widest_gap, wrap_index
 from .segments import Segments, add_rays, copy_segment, join_segments, joint_line, line, segment_chi2
@@ -30,13 +30,13 @@ ADJACENT = -1
 MAX_PASSES = 4
 
 
-@compiled
+@inlined
 def is_one_line(segments: Segments, i: int, j: int, penalty: float) -> bool:
     """Return True if one line explains segments i and j."""
     return joint_line(segments, i, j)[2] - segment_chi2(segments, i) - segment_chi2(segments, j) < penalty
 
 
-@compiled
+@inlined
 def is_bridgeable(
     rays: Rays, count: int, step: float, segments: Segments, i: int, j: int, between: int, settings: Settings
 ) -> bool:
@@ -60,7 +60,7 @@ def is_bridgeable(
     return True
 
 
-@compiled
+@inlined
 def count_rays_between(segments: Segments, broken: Integers, count: int, i: int, j: int, shift: int) -> int:
     """Return the number of rays between segment i and the next one j, or ADJACENT if the wall may just continue.
 
@@ -70,7 +70,7 @@ def count_rays_between(segments: Segments, broken: Integers, count: int, i: int,
     return between if between > 0 or broken[wrap_index(segments.begin[j], count)] != 0 else ADJACENT
 
 
-@compiled
+@inlined
 def merge_segments(
     rays: Rays, count: int, step: float, segments: Segments, segment_count: int, bridge: bool, settings: Settings
 ) -> int:
@@ -106,7 +106,7 @@ def merge_segments(
     return segment_count
 
 
-@compiled
+@inlined
 def remove_small_segments(segments: Segments, segment_count: int) -> int:
     """Remove segments of fewer than MIN_SEGMENT_RAYS rays; return the number left."""
     kept = 0
@@ -117,7 +117,7 @@ def remove_small_segments(segments: Segments, segment_count: int) -> int:
     return kept
 
 
-@compiled
+@inlined
 def fits_line(rays: Rays, ray: int, u: float, v: float, settings: Settings) -> bool:
     """Return True if a ray is within EXTENSION_GATE of the line (u, v)."""
     p, t = u * rays.cos[ray] + v * rays.sin[ray], v * rays.cos[ray] - u * rays.sin[ray]
@@ -127,7 +127,7 @@ def fits_line(rays: Rays, ray: int, u: float, v: float, settings: Settings) -> b
     return bool(residual * residual <= EXTENSION_GATE * variance)
 
 
-@compiled
+@inlined
 def extend_segments(rays: Rays, count: int, segments: Segments, segment_count: int, settings: Settings) -> None:
     """Extend segments at both ends by rays of removed segments that fit their lines."""
     for i in range(segment_count):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .compiled import compiled, vectorised
+from .compiled import inlined, vectorised
 from .rays import RaySlice
 from .settings import Settings
 from .types import Floats
@@ -40,7 +40,7 @@ def sum_residuals(part: RaySlice, u: float, v: float, sigma_range: float, sigma_
     return share * by_range, share * by_bearing, ranges, mixed, bearings, used
 
 
-@compiled
+@inlined
 def estimate_noise(part: RaySlice, u: float, v: float, settings: Settings, estimate: Floats) -> None:
     """Write the estimates (6,) of three variances from the residuals of a line, each with its weight.
 
@@ -69,7 +69,7 @@ def estimate_noise(part: RaySlice, u: float, v: float, settings: Settings, estim
         estimate[3], estimate[5] = range_rays / (range_rays + 2.0), bearing_rays / (bearing_rays + 2.0)
 
 
-@compiled
+@inlined
 def median_estimate(estimates: Floats, count: int, column: int) -> tuple[float, float]:
     """Return the median of the first `count` estimates in a column, weighted by the column after it, and all weight.
 

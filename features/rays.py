@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .compiled import compiled, vectorised
+from .compiled import inlined, vectorised
 from .settings import Settings
 from .types import Floats, Integers
 
@@ -82,7 +82,7 @@ def allocate(beams: int) -> tuple[Floats, Integers]:
     return np.full((FLOAT_ROWS, size), np.nan), np.zeros((INTEGER_ROWS, size), dtype=np.int64)
 
 
-@compiled
+@inlined
 def views(floats: Floats, integers: Integers) -> tuple[Grid, Rays]:
     """Return the named parts of the memory from `allocate`."""
     grid = Grid(floats[0], floats[1], floats[2])
@@ -92,13 +92,13 @@ def views(floats: Floats, integers: Integers) -> tuple[Grid, Rays]:
     return grid, rays
 
 
-@compiled
+@inlined
 def wrap_index(k: int, count: int) -> int:
     """Return the index 0..n-1, n = `count`, of the ray k in 0..2n-1."""
     return k - count if k >= count else k
 
 
-@compiled
+@inlined
 def update_grid(angles: Floats, grid: Grid) -> None:
     """Update sine and cosine of the bearings that differ from those of the last scan."""
     for i in range(len(angles)):
@@ -108,13 +108,13 @@ def update_grid(angles: Floats, grid: Grid) -> None:
             grid.sin[i] = math.sin(angles[i])
 
 
-@compiled
+@inlined
 def widest_gap(step: float) -> float:
     """Return the widest gap of bearing between two rays of one surface, radians; `step` is that of the bearing grid."""
     return max(MAX_BEARING_GAP, NEIGHBOUR_STEPS * step)
 
 
-@compiled
+@inlined
 def select_rays(ranges: Floats, range_min: float, range_max: float, grid: Grid, buffer: Rays) -> tuple[Rays, int]:
     """Select the usable rays into `buffer`; return them from the start on, and their number.
 
@@ -145,7 +145,7 @@ def select_rays(ranges: Floats, range_min: float, range_max: float, grid: Grid, 
     return rotate_rays(farthest if closed else 0, count, buffer), count
 
 
-@compiled
+@inlined
 def rotate_rays(start: int, count: int, buffer: Rays) -> Rays:
     """Return the rays from ray `start` on; those before it are repeated after the last one, one revolution later."""
     repeat_first(buffer.range, start, count, 0.0)
@@ -183,7 +183,7 @@ def invert_values(values: Floats, inverse: Floats) -> None:
         inverse[k] = 1.0 / values[k]
 
 
-@compiled
+@inlined
 def bearing_step(angles: Floats, rays: Rays, count: int) -> float:
     """Return the mean step of bearing between beams, or between usable rays if the bearings do not increase."""
     step = (angles[-1] - angles[0]) / (len(angles) - 1)
@@ -192,7 +192,7 @@ def bearing_step(angles: Floats, rays: Rays, count: int) -> float:
     return float(step)
 
 
-@compiled
+@inlined
 def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None:
     """Mark every ray that cannot continue the wall of the previous ray; ray 0 follows the last one.
 
@@ -214,7 +214,7 @@ def mark_breaks(rays: Rays, count: int, step: float, settings: Settings) -> None
         rays.broken[k] = 1 if broken else 0
 
 
-@compiled
+@inlined
 def distance_squared(rays: Rays, first: int, second: int) -> float:
     """Return the squared distance between the end points of two rays, square metres."""
     dx = rays.range[first] * rays.cos[first] - rays.range[second] * rays.cos[second]
@@ -222,7 +222,7 @@ def distance_squared(rays: Rays, first: int, second: int) -> float:
     return float(dx * dx + dy * dy)
 
 
-@compiled
+@inlined
 def slice_rays(rays: Rays, count: int, begin: int, end: int, buffer: RaySlice) -> RaySlice:
     """Return the rays begin..end-1, copied into `buffer` only if they extend beyond ray n."""
     if end <= count:
@@ -235,7 +235,7 @@ def slice_rays(rays: Rays, count: int, begin: int, end: int, buffer: RaySlice) -
     return first_rays(buffer, end - begin)
 
 
-@compiled
+@inlined
 def first_rays(part: RaySlice, size: int) -> RaySlice:
     """Return the first `size` rays."""
     return RaySlice(part.inverse[:size], part.cos[:size], part.sin[:size])

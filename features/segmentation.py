@@ -8,7 +8,7 @@ are joined.
 
 from __future__ import annotations
 
-from .compiled import compiled
+from .compiled import inlined
 from .merging import extend_segments, merge_segments, remove_small_segments
 from .rays import Rays
 from .segments import Segments
@@ -22,7 +22,7 @@ from .types import Floats, Integers
 PENALTY = 30.0
 
 
-@compiled
+@inlined
 def segment_rays(
     rays: Rays, count: int, step: float, segments: Segments, gains: Floats, stack: Integers, settings: Settings
 ) -> int:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .compiled import compiled
+from .compiled import inlined
 from .normal_equations import Sums, add_sums, get_column, residual_sum, set_column, solve_line
 from .types import Floats, Integers
 
@@ -41,14 +41,14 @@ def allocate(beams: int) -> tuple[Floats, Integers]:
     return np.zeros((FLOAT_ROWS, beams + 1)), np.zeros((INTEGER_ROWS, 2 * beams + 2), dtype=np.int64)
 
 
-@compiled
+@inlined
 def views(floats: Floats, integers: Integers) -> tuple[Segments, Floats, Integers]:
     """Return the segments, the gains and the stack for splitting in the memory from `allocate`."""
     segments = Segments(integers[0], integers[1], integers[2], integers[3], floats[0:6], floats[6:10])
     return segments, floats[10], integers[4]
 
 
-@compiled
+@inlined
 def append_segment(segments: Segments, segment_count: int, begin: int, end: int) -> int:
     """Append the interval begin..end and return the new number of segments. The caller sets its sums."""
     segments.begin[segment_count], segments.end[segment_count] = begin, end
@@ -56,26 +56,26 @@ def append_segment(segments: Segments, segment_count: int, begin: int, end: int)
     return segment_count + 1
 
 
-@compiled
+@inlined
 def add_rays(segments: Segments, i: int, sums: Sums) -> None:
     """Add the sums over further rays to segment i."""
     set_column(segments.sums, i, add_sums(get_column(segments.sums, i), sums))
 
 
-@compiled
+@inlined
 def segment_chi2(segments: Segments, i: int) -> float:
     """Return the chi-square of segment i."""
     return residual_sum(get_column(segments.sums, i)) if segments.end[i] - segments.begin[i] > 2 else 0.0
 
 
-@compiled
+@inlined
 def line(segments: Segments, i: int) -> tuple[float, float]:
     """Return (u, v) of segment i."""
     u, v, _ = solve_line(get_column(segments.sums, i))
     return u, v
 
 
-@compiled
+@inlined
 def joint_line(segments: Segments, i: int, j: int) -> tuple[float, float, float]:
     """Return (u, v, chi-square) of the common line of segments i and j."""
     sums = add_sums(get_column(segments.sums, i), get_column(segments.sums, j))
@@ -83,7 +83,7 @@ def joint_line(segments: Segments, i: int, j: int) -> tuple[float, float, float]
     return u, v, residual_sum(sums) if math.isfinite(u) else math.inf
 
 
-@compiled
+@inlined
 def join_segments(segments: Segments, i: int, j: int, adjacent: bool, shift: int) -> None:
     """Extend segment i by segment j, whose ray indices are `shift` larger in the numbering of i."""
     if adjacent:
@@ -97,7 +97,7 @@ def join_segments(segments: Segments, i: int, j: int, adjacent: bool, shift: int
     add_rays(segments, i, get_column(segments.sums, j))
 
 
-@compiled
+@inlined
 def copy_segment(segments: Segments, source: int, target: int) -> None:
     """Copy segment `source` to `target`."""
     if source == target:
@@ -109,7 +109,7 @@ def copy_segment(segments: Segments, source: int, target: int) -> None:
         segments.boundary_covariance[row, target] = segments.boundary_covariance[row, source]
 
 
-@compiled
+@inlined
 def rotate_segments(segments: Segments, segment_count: int, count: int) -> None:
     """Make the first segment the last one, after its begin has moved back across ray 0."""
     copy_segment(segments, 0, segment_count)

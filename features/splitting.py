@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from .compiled import compiled, vectorised
+from .compiled import inlined, vectorised
 from .normal_equations import (
     Sums,
     add_sums,
@@ -40,7 +40,7 @@ REFINE_WINDOW = 12
 INFINITY_BITS = 0x7FF0000000000000
 
 
-@compiled
+@inlined
 def chi_square(prefix: Floats, begin: int, end: int) -> float:
     """Return the chi-square of the best line through rays begin..end-1, end <= n; zero for two rays."""
     return residual_sum(subtract_sums(get_column(prefix, end), get_column(prefix, begin))) if end - begin > 2 else 0.0
@@ -88,7 +88,7 @@ def argmax_positive(values: Floats, low: int, high: int) -> int:
     return -1
 
 
-@compiled
+@inlined
 def best_split(prefix: Floats, begin: int, end: int, penalty: float, gains: Floats) -> int:
     """Return the best ray at which to split begin..end, or -1 if no split decreases the cost by the penalty."""
     if end - begin < 2 * MIN_SPLIT_RAYS:
@@ -105,7 +105,7 @@ def best_split(prefix: Floats, begin: int, end: int, penalty: float, gains: Floa
     return position if cost - split_cost > penalty else -1
 
 
-@compiled
+@inlined
 def split_rays(rays: Rays, count: int, penalty: float, segments: Segments, gains: Floats, stack: Integers) -> int:
     """Split all rays into segments, at breaks and where two lines fit better; return their number."""
     segment_count = 0
@@ -132,7 +132,7 @@ def split_rays(rays: Rays, count: int, penalty: float, segments: Segments, gains
     return segment_count
 
 
-@compiled
+@inlined
 def refine_boundaries(rays: Rays, count: int, segments: Segments, segment_count: int, gains: Floats) -> None:
     """Move every boundary between adjacent segments to where both lines together fit best."""
     prefix = rays.prefix
@@ -159,7 +159,7 @@ def refine_boundaries(rays: Rays, count: int, segments: Segments, segment_count:
         rotate_segments(segments, segment_count, count)
 
 
-@compiled
+@inlined
 def best_boundary(prefix: Floats, count: int, low: int, high: int, origin: Sums, terminus: Sums, gains: Floats) -> int:
     """Return the best boundary low..high between two lines, or -1; it may lie beyond ray n = `count`."""
     best, position = -math.inf, -1
@@ -177,7 +177,7 @@ def best_boundary(prefix: Floats, count: int, low: int, high: int, origin: Sums,
     return position
 
 
-@compiled
+@inlined
 def add_boundary_covariance(
     rays: Rays,
     count: int,
@@ -228,19 +228,19 @@ def add_boundary_covariance(
         boundary_covariance[2, j] += vv1 / total
 
 
-@compiled
+@inlined
 def gain_at(gains: Floats, count: int, k: int) -> float:
     """Return the gain of a boundary before ray k, which may be in the next revolution."""
     return float(gains[k] if k <= count else gains[k - count])
 
 
-@compiled
+@inlined
 def unwrapped_bearing(bearing: Floats, count: int, k: int) -> float:
     """Return the bearing of ray k, which may be in the next revolution."""
     return float(bearing[k] if k < count else bearing[k - count] + TURN)
 
 
-@compiled
+@inlined
 def move_boundary(prefix: Floats, count: int, segments: Segments, i: int, j: int, position: int, shift: int) -> None:
     """Move the boundary of segments i and j to ray `position`; ray indices of j are `shift` smaller."""
     boundary = segments.end[i]

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+from .inner_functions import run_as_source
 from .intermediate_code import parse_when_needed
+from .literals import compile_once_for_literals
 from .loading import load_without_compiler
 from .numba_import import njit
 from .sources import discard_stale
@@ -21,11 +23,16 @@ def compile_cached(function: Callable[Arguments, Result], **options: Any) -> Cal
     """Return a function that is compiled at its first call with arguments of new types, if it cannot be loaded.
 
     It is loaded from the installed wheel if that has been built with compiled functions that suit this computer
-    (`wheel.py`), else from numba's cache on disk. `options` are those of `numba.njit`.
+    (`wheel.py`), else from numba's cache on disk. `options` are those of `numba.njit`; a function with
+    `no_cpython_wrapper` is compiled as a part of compiled functions only.
     """
-    dispatcher: Callable[Arguments, Result] = njit(cache=True, **options)(function)
+    # without a second entry for callers in C, which would be compiled, and optimised, with each function
+    dispatcher: Callable[Arguments, Result] = njit(cache=True, **options | {"no_cfunc_wrapper": True})(function)
     stats = getattr(dispatcher, "stats", None)  # None if NUMBA_DISABLE_JIT is set
     if stats is not None:
+        compile_once_for_literals(dispatcher)
+        if options.get("no_cpython_wrapper"):
+            run_as_source(dispatcher)
         discard_stale(Path(inspect.getfile(function)), Path(stats.cache_path))
         parse_when_needed(dispatcher)
         load_without_compiler(dispatcher)

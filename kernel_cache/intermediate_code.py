@@ -22,15 +22,20 @@ def parse_when_needed(dispatcher: Any) -> None:
     """
     with suppress(AttributeError):
         loader = dispatcher._cache._impl
-        loader.rebuild = partial(_rebuild, loader.rebuild)
+        loader.rebuild = partial(_rebuild, loader.rebuild, dispatcher.targetoptions)
 
 
-def _rebuild(rebuild: Any, context: Any, stored: Any) -> Any:
-    """Return the compiled function that `rebuild` makes of what is stored, without parsing its bitcode."""
+def _rebuild(rebuild: Any, options: Any, context: Any, stored: Any) -> Any:
+    """Return the compiled function that `rebuild` makes of what is stored, without parsing its bitcode.
+
+    `options` are those with which the function was compiled.
+    """
     try:
         (name, kind, (code, bitcode)), described, *others = stored
         symbols = context.codegen()._engine._defined_symbols
-        entries = described.llvm_func_name, described.llvm_cpython_wrapper_name
+        entries = {described.llvm_func_name}
+        if not options.get("no_cpython_wrapper"):
+            entries.add(described.llvm_cpython_wrapper_name)
     except (AttributeError, TypeError, ValueError):  # another version of numba
         return rebuild(context, stored)
     if kind != "object":

@@ -65,6 +65,16 @@ INTERVAL = 0.1
 CONFIG = Config.model_validate({"mapping": {"keyframe_distance": 3 * STEP}})
 """Default settings, with so many keyframes that a drive through a small room calls everything."""
 
+COMPILATION = """
+import gc, os
+from slam.cli import COLLECTION_THRESHOLD
+gc.set_threshold(COLLECTION_THRESHOLD)
+os.environ["NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING"] = "1"  # numba colours messages that nobody sees
+from slam.warmup import {0}
+{0}()
+"""
+"""Program of a process that compiles."""
+
 
 def warm_up() -> None:
     """Compile, or load from disk, everything that a run with default settings calls."""
@@ -73,9 +83,8 @@ def warm_up() -> None:
     slam = Slam(CONFIG)
     for message in _drive():
         slam.add(message)
-    mapper = slam.slam_state.mapper
     _recognise(slam.slam_state)
-    _check_loop([(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments])
+    _check_loop(slam.slam_state)
     _update_free_space()
     _search_submap()
     _search_poses()
@@ -86,11 +95,10 @@ def warm_up() -> None:
 
 def _compile_in_processes(parts: Sequence[Callable[[], None]]) -> None:
     """Call functions of this module at the same time, each in a process; they are ended with this one."""
-    code = "from slam.warmup import {0}; {0}()"
     processes = []
     try:
         for part in parts:
-            processes.append(subprocess.Popen([sys.executable, "-c", code.format(part.__name__)]))
+            processes.append(subprocess.Popen([sys.executable, "-c", COMPILATION.format(part.__name__)]))
         for process in processes:
             process.wait()
     finally:  # also if a signal ends the command: they would keep the processors and the terminal for a minute
@@ -100,7 +108,7 @@ def _compile_in_processes(parts: Sequence[Callable[[], None]]) -> None:
 
 
 def compile_preprocessing() -> None:
-    """Compile what makes features of scans, the closing of loops, and what only some commands call: maps as images,
+    """Compile what makes features of scans, the search for loops, and what only some commands call: maps as images,
     and simulations."""
     preprocessor = Preprocessor(Config())
     for message in _drive():
@@ -109,7 +117,6 @@ def compile_preprocessing() -> None:
             preprocessor.process(scan, OdometryModel(Config().odometry))
     _search_submap()
     _update_free_space()
-    _check_loop([])
     _search_poses()
     _match_beside_person()
     _draw_grid()
@@ -128,6 +135,7 @@ def compile_estimation() -> None:
             estimator.process(scans[-1])
     state = estimator.state
     _recognise(state)
+    _check_loop(state)
     converge(state.mapper)
     history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
@@ -173,9 +181,10 @@ def _ranges(pose: se2.Pose, angles: Floats) -> Floats:
     return np.asarray(ranges, dtype=np.float64)
 
 
-def _check_loop(views: Sequence[tuple[se2.Pose, Segments]]) -> None:
+def _check_loop(state: SlamState) -> None:
     """Check a loop closure in a room that was mapped long ago and is observed again."""
-    landmarks = Landmarks()
+    mapper, landmarks = state.mapper, Landmarks()
+    views = [(mapper.graph.keyframe_pose(keyframe), segments) for keyframe, segments in mapper.recent_segments]
     for keyframe in (0, 2):
         for side in SIDES:
             wall = landmarks.add_wall(side, 1.4, keyframe)

@@ -92,8 +92,12 @@ def product(matrix, vector):  # type: ignore[no-untyped-def]
 @compiled
 def without_negative_part(matrix):  # type: ignore[no-untyped-def]
     """Return a symmetric matrix (3, 3) whose negative eigenvalues are replaced by zero, by Jacobi's method."""
-    rotated, vectors, result = matrix.copy(), np.eye(3), np.zeros((3, 3))
-    negligible = NEGLIGIBLE * np.abs(matrix).max()
+    rotated, vectors, result, largest = matrix.copy(), np.zeros((3, 3)), np.zeros((3, 3)), 0.0
+    for i in range(3):
+        vectors[i, i] = 1.0
+        for j in range(3):
+            largest = max(largest, abs(matrix[i, j]))
+    negligible = NEGLIGIBLE * largest
     for _ in range(MAX_SWEEPS):
         if abs(rotated[0, 1]) <= negligible and abs(rotated[0, 2]) <= negligible and abs(rotated[1, 2]) <= negligible:
             break

@@ -112,9 +112,11 @@ def _objects(points, on_walls):  # type: ignore[no-untyped-def]
             gap = math.hypot(points[k, 0] - points[k - 1, 0], points[k, 1] - points[k - 1, 1])
             if gap <= MAX_GAP:
                 continue
-        width = points[start:k, 0].max() - points[start:k, 0].min()
-        depth = points[start:k, 1].max() - points[start:k, 1].min()
-        if not on_walls[start] and math.hypot(width, depth) <= MAX_SIZE:
+        left, right, low, high = points[start, 0], points[start, 0], points[start, 1], points[start, 1]
+        for i in range(start + 1, k):
+            left, right = min(left, points[i, 0]), max(right, points[i, 0])
+            low, high = min(low, points[i, 1]), max(high, points[i, 1])
+        if not on_walls[start] and math.hypot(right - left, high - low) <= MAX_SIZE:
             objects[start:k] = count
             count += 1
         start = k

@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import wrap_angle
+from ..geometry.median import median
 from ..geometry.segments import Floats
 from ..matching.scan_points import subsample
 from ..odometry.error_model import OdometryModel
@@ -87,10 +88,11 @@ class View:
             return False
         bearings = np.arctan2(self.points[:, 1], self.points[:, 0])
         order = np.argsort(bearings)
-        ranges = np.hypot(self.points[order, 0], self.points[order, 1])
+        bearings, ranges = bearings[order], np.hypot(self.points[order, 0], self.points[order, 1])
+        limit = NEIGHBOUR_SPACINGS * median(np.diff(bearings))
         points = np.ascontiguousarray(subsample(other.near, MAX_COMPARED_POINTS))
         poses = se2.compose(motion, ODOMETRY_ERRORS)
-        return bool(_agreeing_share(bearings[order], ranges, points, poses) < SAME_PLACE_SHARE)
+        return bool(_agreeing_share(bearings, ranges, points, poses, limit) < SAME_PLACE_SHARE)
 
 
 class ViewComparison:
@@ -131,17 +133,17 @@ class ViewComparison:
 
 
 @compiled
-def _agreeing_share(bearings, ranges, points, poses):  # type: ignore[no-untyped-def]
+def _agreeing_share(bearings, ranges, points, poses, limit):  # type: ignore[no-untyped-def]
     """Return the largest share, at one of several poses, of a scan's points that agree with another scan.
 
     bearings, ranges  (n,) of the other scan's points, by bearing, radians and metres
     points            (p, 2) of the scan
     poses             (q, 3) of the scan in the frame of the other one
+    limit             angle between neighbours in the other scan beyond which nothing is known between them, radians
 
     A pose at which less than half of the points can be compared does not count; if none counts, the share is 1.
     """
     count, best = len(bearings), -1.0
-    limit = NEIGHBOUR_SPACINGS * np.median(np.diff(bearings))
     for q in range(len(poses)):
         c, s = math.cos(poses[q, 2]), math.sin(poses[q, 2])
         agreeing, compared = 0, 0
@@ -149,7 +151,7 @@ def _agreeing_share(bearings, ranges, points, poses):  # type: ignore[no-untyped
             x = poses[q, 0] + c * points[p, 0] - s * points[p, 1]
             y = poses[q, 1] + s * points[p, 0] + c * points[p, 1]
             bearing, distance = math.atan2(y, x), math.hypot(x, y)
-            after = np.searchsorted(bearings, bearing) % count
+            after = _first_not_below(bearings, bearing) % count
             before = (after - 1) % count
             if abs(wrap_angle(bearings[after] - bearings[before])) <= limit:
                 compared += 1
@@ -158,3 +160,16 @@ def _agreeing_share(bearings, ranges, points, poses):  # type: ignore[no-untyped
         if 2 * compared >= len(points):
             best = max(best, agreeing / compared)
     return best if best >= 0.0 else 1.0
+
+
+@inlined
+def _first_not_below(values, least):  # type: ignore[no-untyped-def]
+    """Return the first row of sorted values that is not below `least`; written out, as NumPy's compiles for long."""
+    low, high = 0, len(values)
+    while low < high:
+        middle = (low + high) // 2
+        if values[middle] < least:
+            low = middle + 1
+        else:
+            high = middle
+    return low

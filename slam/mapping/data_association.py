@@ -119,7 +119,8 @@ def _assign_greedily(distance, observations, low, high):  # type: ignore[no-unty
     """
     features, landmarks = distance.shape
     columns, nearest = np.full(features, UNMATCHED), np.full(features, -1)
-    smallest, cost = np.full(features, np.nan), np.full(features * landmarks, np.inf)
+    smallest = np.full(features, np.nan)
+    pairs, costs, count = np.empty(features * landmarks, np.int64), np.empty(features * landmarks), 0
     for i in range(features):
         for j in range(landmarks):
             if not np.isfinite(distance[i, j]):
@@ -128,9 +129,15 @@ def _assign_greedily(distance, observations, low, high):  # type: ignore[no-unty
             if nearest[i] < 0 or distance[i, j] < smallest[i]:
                 smallest[i], nearest[i] = distance[i, j], j
             if distance[i, j] < ASSOCIATION_GATE:
-                cost[i * landmarks + j] = distance[i, j] - 2.0 * math.log(max(observations[j], 1))
-    within = np.flatnonzero(cost < np.inf)
-    for pair in within[np.argsort(cost[within], kind="mergesort")]:  # stable
+                cost, place = distance[i, j] - 2.0 * math.log(max(observations[j], 1)), count
+                while (
+                    place > 0 and costs[place - 1] > cost
+                ):  # sorted at once: they are few, and NumPy's sort compiles long
+                    pairs[place], costs[place] = pairs[place - 1], costs[place - 1]
+                    place -= 1
+                pairs[place], costs[place] = i * landmarks + j, cost
+                count += 1
+    for pair in pairs[:count]:
         i, j = divmod(pair, landmarks)
         if columns[i] >= 0:
             continue

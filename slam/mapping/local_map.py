@@ -103,7 +103,7 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
     near_walls, near_corners = landmarks.walls_near(pose, radius), landmarks.corners_near(pose, radius)
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
     last_seen = np.concatenate([walls["last_seen"][near_walls], corners["last_seen"][near_corners]])
-    drifts = _drifts_since(last_seen, pose_covariances)
+    drifts = _drifts_since(last_seen, np.argsort(last_seen), pose_covariances)
     of_walls, of_corners = drifts[: len(near_walls)], drifts[len(near_walls) :, :2, :2]
     frame, low, high = (walls[name][near_walls] for name in ("frame", "low", "high"))
     known_walls, wall_drift = _wall_drifts(frame, low, high, pose, of_walls)
@@ -139,14 +139,22 @@ def _wall_drifts(frame, low, high, pose, drifts):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _drifts_since(keyframes, covariances):  # type: ignore[no-untyped-def]
-    """Return (n, 3, 3) the growth of the pose covariance since each of some keyframes, see `local_map_around`."""
+def _drifts_since(keyframes, order, covariances):  # type: ignore[no-untyped-def]
+    """Return (n, 3, 3) the growth of the pose covariance since each of some keyframes, see `local_map_around`.
+
+    order  (n,) rows of the keyframes, sorted by them: many landmarks share their last keyframe
+    """
     drifts, keyframe, drift = np.empty((len(keyframes), 3, 3)), -1, np.zeros((3, 3))
-    for k in np.argsort(keyframes):  # many landmarks share their last keyframe
+    for k in order:
         if keyframes[k] != keyframe:
             keyframe = keyframes[k]
-            drift = covariances[-1] - covariances[keyframe]
+            drift = np.empty((3, 3))
+            for i in range(3):
+                for j in range(3):
+                    drift[i, j] = covariances[-1, i, j] - covariances[keyframe, i, j]
             if keyframe < len(covariances) - 1 and not is_positive_definite(drift):
                 drift = without_negative_part(drift)
-        drifts[k] = drift
+        for i in range(3):
+            for j in range(3):
+                drifts[k, i, j] = drift[i, j]
     return drifts

@@ -51,6 +51,8 @@ KERNEL = 3.0
 MAX_STEPS = 20
 # Metres and radians below which a step is the last one. Origin: numerical, far below the accuracy.
 LAST_STEP = 1e-4
+# Information that is added to that of a match, per square metre and square radian. Origin: numerical, conditioning.
+CONDITIONING = 1e-6
 # Fit below which a match is not accepted. Origin: chosen, half of the points in seen space fit; not measured.
 MIN_FIT = 0.5
 # Fit below which poses around the prediction are searched. Origin: measured, nine of ten scans of recordings fit
@@ -252,7 +254,7 @@ def _sum_of_squares(points):  # type: ignore[no-untyped-def]
 @compiled
 def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # type: ignore[no-untyped-def]
     pose, memory = start.copy(), memory_for(len(points))
-    information, gradient, conditioning = np.zeros((3, 3)), np.zeros(3), 1e-6 * np.eye(3)
+    information, gradient = np.zeros((3, 3)), np.zeros(3)
     robust, total = np.empty((3, 3)), np.empty((3, 3))
     for sigma in sigmas:
         for _ in range(MAX_STEPS):
@@ -262,7 +264,8 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
             for k in range(3):
                 for m in range(3):
                     robust[k, m] = prior[k, m] / scale
-                    total[k, m] = information[k, m] + robust[k, m] + conditioning[k, m]
+                    total[k, m] = information[k, m] + robust[k, m]
+                total[k, k] += CONDITIONING
             x, y, turn = product(robust, error)
             move = solution(total, (gradient[0] + x, gradient[1] + y, gradient[2] + turn))
             move_back(pose, move)

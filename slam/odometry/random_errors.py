@@ -9,6 +9,7 @@ import numpy as np
 from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
+from ..geometry.median import median
 from ..geometry.segments import Floats
 from .systematic_errors import NORMAL_MEDIAN, PRIOR_SAMPLES, is_turn
 
@@ -39,6 +40,8 @@ def estimate_rates(
     travel      (n,) metres of wheel travel
     floors      (2,) standard deviations of a single reading, of position and heading
     """
+    # contiguous: the function would be compiled again for columns of a larger array
+    registered, variances = np.ascontiguousarray(registered), np.ascontiguousarray(variances)
     observed, counts = _observed_rates(corrected, registered, variances, travel, floors)
     weights = counts / (counts + PRIOR_SAMPLES)
     least = MIN_VARIANCE_RATE
@@ -66,7 +69,7 @@ def _observed_rates(corrected, registered, variances, travel, floors):  # type: 
     rates = np.zeros(4)
     counts = np.array([count, count, straight_count, count - straight_count], dtype=np.float64)
     rates[0], rates[1] = _median_excess(along), _median_excess(across)
-    rates[2] = _median_excess(straight[:, :straight_count])
+    rates[2] = _median_excess(straight[:, :straight_count].copy())
     for k in range(count):
         if is_turn(corrected[k, 2], registered[k, 2]):
             turn = abs(corrected[k, 2])
@@ -75,7 +78,7 @@ def _observed_rates(corrected, registered, variances, travel, floors):  # type: 
             turn_count += 1
     # The noise subtracted from turns contains the drift by driving and may be most of the median, which is then small:
     # what a few gross errors add to it counts.
-    rates[3] = _median_excess(_without_gross_errors(turns[:, :turn_count]))
+    rates[3] = _median_excess(_without_gross_errors(turns[:, :turn_count].copy()))
     return rates, counts
 
 
@@ -84,7 +87,7 @@ def _without_gross_errors(values):  # type: ignore[no-untyped-def]
     """Return the columns of `values` (2, n), squared errors and their known noise, without the gross errors."""
     if not values.shape[1]:
         return values
-    return values[:, NORMAL_MEDIAN * values[0] <= GROSS_ERROR**2 * np.median(values[0])]
+    return values[:, NORMAL_MEDIAN * values[0] <= GROSS_ERROR**2 * median(values[0])]
 
 
 @compiled
@@ -96,4 +99,4 @@ def _median_excess(values):  # type: ignore[no-untyped-def]
     count = values.shape[1]
     if not count:
         return 0.0
-    return max(np.median(values[0] - values[1]), NORMAL_MEDIAN_ERROR / math.sqrt(count) * np.median(values[0]))
+    return max(median(values[0] - values[1]), NORMAL_MEDIAN_ERROR / math.sqrt(count) * median(values[0]))

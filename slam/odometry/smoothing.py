@@ -93,7 +93,7 @@ def _smoothed_states(times, poses, ratio):  # type: ignore[no-untyped-def]
     # variances of position, both, and velocity, the same for all coordinates
     updated_p, updated_c, updated_v = np.empty(count), np.empty(count), np.empty(count)
     p, c, v = ratio, 0.0, UNKNOWN
-    states[0, :3] = poses[0]
+    states[0, 0], states[0, 1], states[0, 2] = poses[0, 0], poses[0, 1], poses[0, 2]
     updated_p[0], updated_c[0], updated_v[0] = p, c, v
     for k in range(1, count):
         step = times[k] - times[k - 1]

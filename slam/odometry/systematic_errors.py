@@ -19,6 +19,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
+from ..geometry.median import median
 from ..geometry.segments import Floats
 
 # Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
@@ -184,8 +185,8 @@ def _posterior(values, sigma):  # type: ignore[no-untyped-def]
     count = len(values)
     if not count:
         return 0.0, sigma**2
-    median = np.median(values)
-    spread = np.median((values - median) ** 2) / NORMAL_MEDIAN
+    middle = median(values)
+    spread = median((values - middle) ** 2) / NORMAL_MEDIAN
     spread = (PRIOR_SAMPLES * INITIAL_SPREAD + count * spread) / (PRIOR_SAMPLES + count)
     share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / count)
-    return share * median, (1.0 - share) * sigma**2
+    return share * middle, (1.0 - share) * sigma**2

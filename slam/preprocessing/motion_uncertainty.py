@@ -230,14 +230,19 @@ def _variance_inflation(covariances, jacobians, motion, responses):  # type: ign
                     separate[k, m] += of_offset * gain[m, 0] + of_heading * gain[m, 1]
                 for m in range(responses.shape[2]):
                     together[k, m] += gain[k, 0] * responses[i, 0, m] + gain[k, 1] * responses[i, 1, m]
-        covariance = inverse(information + CONDITIONING * np.eye(3))
-        implied = (covariance * separate).sum()  # the trace of the product, as both are symmetric
+        for k in range(3):
+            information[k, k] += CONDITIONING
+            for m in range(3):
+                for n in range(responses.shape[2]):
+                    correlated[k, m] += together[k, n] * together[m, n]
+        covariance, implied, actual = inverse(information), 0.0, 0.0
+        for k in range(3):
+            for m in range(3):  # the traces of products, as all are symmetric
+                implied += covariance[k, m] * separate[k, m]
+                actual += covariance[k, m] * correlated[k, m]
         if implied <= 0.0:
             return 1.0
-        for k in range(3):
-            for m in range(3):
-                correlated[k, m] = (together[k] * together[m]).sum()
-        inflation = max(1.0, (covariance * correlated).sum() / implied)
+        inflation = max(1.0, actual / implied)
     return inflation
 
 

@@ -79,8 +79,9 @@ def sample_walls(descriptor: MapDescriptor) -> WallSamples:
 def align_submap(start: se2.Pose, submap: MapDescriptor, samples: WallSamples, descriptor: MapDescriptor) -> Alignment:
     """Align a submap with the map of `descriptor`, starting with the submap's frame at `start` in the map."""
     first = np.searchsorted(descriptor.stretch_wall, np.arange(len(descriptor) + 1))
+    own_first = np.searchsorted(samples.wall, np.arange(len(submap) + 1))
     pose, information, matches, on_map = _align_submap(
-        start, submap.frame, submap.half_length, submap.covariance, samples.wall, samples.along,
+        start, submap.frame, submap.half_length, submap.covariance, own_first, samples.along,
         descriptor.frame, descriptor.half_length, descriptor.covariance, descriptor.stretches, first,
     )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
@@ -92,17 +93,21 @@ def align_submap(start: se2.Pose, submap: MapDescriptor, samples: WallSamples, d
 
 @compiled
 def _align_submap(  # type: ignore[no-untyped-def]
-    start, frames, halves, covariances, sample_walls, samples,
+    start, frames, halves, covariances, own_first, samples,
     walls, wall_halves, wall_covariances, stretches, first,
 ):  # fmt: skip
-    """Run Gauss-Newton; returns the pose, its information, the matches, and which samples lie on the map."""
+    """Run Gauss-Newton; returns the pose, its information, the matches, and which samples lie on the map.
+
+    own_first  (n + 1,) the first sample of each wall of the submap, and the number of samples
+    """
     pose, information, on_map = start.copy(), np.zeros((3, 3)), np.zeros(len(samples), dtype=np.bool_)
     matches, most = np.full(len(frames), -1), np.zeros(len(frames))
-    own_first = np.searchsorted(sample_walls, np.arange(len(frames) + 1))
     near = _find_near_walls(start, frames, halves, walls, wall_halves)
     for step in range(len(SUBMAP_OFFSET_GATES)):
         last = step == len(SUBMAP_OFFSET_GATES) - 1
-        information, gradient = np.eye(3) * ALIGNMENT_REGULARISATION, np.zeros(3)
+        information, gradient = np.zeros((3, 3)), np.zeros(3)
+        for k in range(3):
+            information[k, k] = ALIGNMENT_REGULARISATION
         c, s = math.cos(pose[2]), math.sin(pose[2])
         for i in range(len(frames)):
             lever = np.array([c * frames[i, 0] - s * frames[i, 1], s * frames[i, 0] + c * frames[i, 1]])

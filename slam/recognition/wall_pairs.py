@@ -73,7 +73,7 @@ def vote_for_poses(submap: MapDescriptor, descriptor: MapDescriptor, pairs: Floa
     `pairs` is the pair table of the map that `descriptor` describes.
     """
     own = build_pair_table(submap, MAX_VOTING_WALLS)
-    found = _vote_by_pairs(own, pairs)
+    found = _vote_by_pairs(own, pairs, np.searchsorted(pairs[:, ANGLE], own[:, ANGLE] - PAIR_ANGLE_TOLERANCE))
     corners = _vote_by_corners(submap.corners, submap.headings, descriptor.corners, descriptor.headings)
     votes = np.concatenate([found, corners])
     if not len(votes):
@@ -147,9 +147,7 @@ def _find_pairs(frames, halves):  # type: ignore[no-untyped-def]
             if max(abs(along_a) - halves[a], abs(along_b) - halves[b]) > MAX_PAIR_DISTANCE:
                 continue
             if count == len(table):
-                larger = np.empty((2 * count, 8))
-                larger[:count] = table
-                table = larger
+                table = _with_twice_the_rows(table)
             row = table[count]
             row[ANGLE], row[HEADING] = angle, frames[a, 2]
             row[X], row[Y] = frames[a, 0] + ca * along_a, frames[a, 1] + sa * along_a
@@ -160,8 +158,22 @@ def _find_pairs(frames, halves):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _vote_by_pairs(own, pairs):  # type: ignore[no-untyped-def]
-    """Return votes (v, 4): position of the submap's origin, heading in [0, 2 pi), and weight in metres of wall."""
+def _with_twice_the_rows(table):  # type: ignore[no-untyped-def]
+    """Return a copy of a table with as many rows again, which are undefined."""
+    larger = np.empty((2 * len(table), table.shape[1]))
+    for row in range(len(table)):
+        for column in range(table.shape[1]):
+            larger[row, column] = table[row, column]
+    return larger
+
+
+@compiled
+def _vote_by_pairs(own, pairs, starts):  # type: ignore[no-untyped-def]
+    """Return votes (v, 4): position of the submap's origin, heading in [0, 2 pi), and weight in metres of wall.
+
+    own, pairs  pair tables of the submap and of the map
+    starts      of each pair of the submap, the first pair of the map whose angle is near enough
+    """
     count = 0
     votes = np.empty((4096, 4))
     for i in range(len(own)):
@@ -169,8 +181,7 @@ def _vote_by_pairs(own, pairs):  # type: ignore[no-untyped-def]
         length, other_length = pair[HIGH] - pair[LOW], pair[OTHER_HIGH] - pair[OTHER_LOW]
         second_weight = other_length**2 / (length**2 + other_length**2)
         dx, dy = -pair[X], -pair[Y]
-        start = np.searchsorted(pairs[:, ANGLE], pair[ANGLE] - PAIR_ANGLE_TOLERANCE)
-        for j in range(start, len(pairs)):
+        for j in range(starts[i], len(pairs)):
             map_pair = pairs[j]
             if map_pair[ANGLE] > pair[ANGLE] + PAIR_ANGLE_TOLERANCE:
                 break
@@ -182,9 +193,7 @@ def _vote_by_pairs(own, pairs):  # type: ignore[no-untyped-def]
                 continue
             turn = map_pair[HEADING] - pair[HEADING] + second_weight * (map_pair[ANGLE] - pair[ANGLE])
             if count == len(votes):
-                larger = np.empty((2 * count, 4))
-                larger[:count] = votes
-                votes = larger
+                votes = _with_twice_the_rows(votes)
             c, s = math.cos(turn), math.sin(turn)
             votes[count, 0], votes[count, 1] = map_pair[X] + c * dx - s * dy, map_pair[Y] + s * dx + c * dy
             votes[count, 2], votes[count, 3] = turn % (2 * math.pi), min(MAX_PAIR_VOTE, overlap, other)

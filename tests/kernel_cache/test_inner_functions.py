@@ -1,0 +1,59 @@
+"""Functions that are only a part of compiled functions: compiled once for all numbers in the code, run by Python."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+KERNEL = """
+from functools import partial
+from kernel_cache import compile_cached
+
+@partial(compile_cached, no_cpython_wrapper=True)
+def scaled(x, factor):
+    return x * factor + 0.5
+
+@compile_cached
+def total(x, factor):
+    return scaled(x, 0) + scaled(x, 1) + scaled(x, factor)
+"""
+
+CALL = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from toy.kernel import scaled, total
+
+print(scaled(2.0, 3), total(2.0, 3), len(scaled.overloads), scaled(2.0, 3))
+"""
+
+COMPILE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from numba import njit
+from toy.kernel import scaled
+
+@njit
+def doubled(x):
+    return scaled(x, 2)
+
+print(doubled(2.0), sum(scaled.stats.cache_hits.values()), scaled(2.0, 2))
+"""
+
+
+def test_python_and_compiled_functions_call_them_also_if_they_are_loaded(tmp_path: Path) -> None:
+    """By itself numba compiles a function for each number in a call, and lets Python call a null pointer."""
+    (tmp_path / "toy").mkdir()
+    (tmp_path / "toy" / "__init__.py").touch()
+    (tmp_path / "toy" / "kernel.py").write_text(KERNEL)
+
+    def run(program: str) -> list[str]:
+        environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
+        environment["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+        command = [sys.executable, "-c", program, str(tmp_path)]
+        answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=250)
+        return answer.stdout.split()
+
+    assert run(CALL) == ["6.5", "9.5", "1", "6.5"]
+    assert run(COMPILE) == ["4.5", "1", "4.5"]
