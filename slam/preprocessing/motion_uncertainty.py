@@ -100,8 +100,8 @@ def _segment_responses(
     turns, shifts = _unit_responses(
         segments.frame,
         segments.half_length,
-        lines.first,
-        lines.last,
+        np.ascontiguousarray(lines.first),  # a column of one row is contiguous, and would be compiled for separately
+        np.ascontiguousarray(lines.last),
         scan.bearings,
         np.where(before, -scan.travel, scan.travel),
         tuple(mount.tolist()),

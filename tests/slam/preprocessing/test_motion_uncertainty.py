@@ -11,7 +11,7 @@ from features import Noise
 from slam.config import OdometryConfig
 from slam.geometry.segments import CornerPoints, Segments
 from slam.odometry.error_model import OdometryModel
-from slam.preprocessing.motion_uncertainty import add_motion_uncertainty
+from slam.preprocessing.motion_uncertainty import _unit_responses, add_motion_uncertainty
 
 BEAMS = 720
 END = 0.04
@@ -100,6 +100,18 @@ def test_pose_estimates_have_the_covariance_that_independent_segments_imply(sigm
     nees = np.einsum("ni,ij,nj->n", errors, normal, errors).mean() / 3
     cancels = fitted == END and sigma < 1e-3  # errors at both ends of the sweep; each segment has its own all the same
     assert (0.6 if cancels else 0.85) < nees < 1.15
+
+
+def test_scans_of_one_wall_and_of_many_run_the_same_compiled_code() -> None:
+    room = Room(np.random.default_rng(4), FULL_TURN, 1e-3)
+    columns = np.column_stack([room.first, room.last])
+    segments, sweep = room.segments, SimpleNamespace(travel=np.abs(TRAVEL), bearings=BEARINGS, fitted=0.0)
+    for count in (1, len(columns)):
+        lines = SimpleNamespace(first=columns[:count, 0], last=columns[:count, 1])
+        some = Segments(segments.frame[:count], segments.half_length[:count], segments.covariance[:count])
+        add_motion_uncertainty(some, NO_CORNERS, lines, sweep, MODEL, NOISE, MOUNT)  # type: ignore[arg-type]
+    layouts = [getattr(one, "layout", "C") for types in _unit_responses.signatures for one in types]
+    assert set(layouts) == {"C"}
 
 
 def test_a_corner_moves_with_its_walls() -> None:
