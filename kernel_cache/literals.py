@@ -1,7 +1,7 @@
 """Calls of compiled functions with numbers that are written in the code.
 
 For numba the type of a number in the code includes its value: a function that is called with 0, with 1 and with a
-variable would be compiled three times. Here all of them are integers.
+variable would be compiled three times. Here the type of such a number is that of a variable.
 """
 
 from __future__ import annotations

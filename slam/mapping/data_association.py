@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
@@ -129,13 +129,8 @@ def _assign_greedily(distance, observations, low, high):  # type: ignore[no-unty
             if nearest[i] < 0 or distance[i, j] < smallest[i]:
                 smallest[i], nearest[i] = distance[i, j], j
             if distance[i, j] < ASSOCIATION_GATE:
-                cost, place = distance[i, j] - 2.0 * math.log(max(observations[j], 1)), count
-                while (
-                    place > 0 and costs[place - 1] > cost
-                ):  # sorted at once: they are few, and NumPy's sort compiles long
-                    pairs[place], costs[place] = pairs[place - 1], costs[place - 1]
-                    place -= 1
-                pairs[place], costs[place] = i * landmarks + j, cost
+                cost = distance[i, j] - 2.0 * math.log(max(observations[j], 1))
+                _insert_sorted(pairs, costs, count, i * landmarks + j, cost)
                 count += 1
     for pair in pairs[:count]:
         i, j = divmod(pair, landmarks)
@@ -149,6 +144,19 @@ def _assign_greedily(distance, observations, low, high):  # type: ignore[no-unty
         if fits:
             columns[i] = j
     return columns, smallest, nearest
+
+
+@inlined
+def _insert_sorted(pairs, costs, count, pair, cost):  # type: ignore[no-untyped-def]
+    """Insert a pair after all that do not cost more, into the first `count` pairs, which are sorted by their costs.
+
+    The pairs of a scan are few, and NumPy's sort takes long to compile.
+    """
+    place = count
+    while place > 0 and costs[place - 1] > cost:
+        pairs[place], costs[place] = pairs[place - 1], costs[place - 1]
+        place -= 1
+    pairs[place], costs[place] = pair, cost
 
 
 @compiled

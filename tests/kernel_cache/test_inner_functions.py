@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
+from collections.abc import Callable
 
 KERNEL = """
 from functools import partial
@@ -42,18 +39,9 @@ print(doubled(2.0), sum(scaled.stats.cache_hits.values()), scaled(2.0, 2))
 """
 
 
-def test_python_and_compiled_functions_call_them_also_if_they_are_loaded(tmp_path: Path) -> None:
+def test_python_and_compiled_functions_call_them_also_if_they_are_loaded(
+    run_with_kernel: Callable[[str, str], list[str]],
+) -> None:
     """By itself numba compiles a function for each number in a call, and lets Python call a null pointer."""
-    (tmp_path / "toy").mkdir()
-    (tmp_path / "toy" / "__init__.py").touch()
-    (tmp_path / "toy" / "kernel.py").write_text(KERNEL)
-
-    def run(program: str) -> list[str]:
-        environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
-        environment["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
-        command = [sys.executable, "-c", program, str(tmp_path)]
-        answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=250)
-        return answer.stdout.split()
-
-    assert run(CALL) == ["6.5", "9.5", "1", "6.5"]
-    assert run(COMPILE) == ["4.5", "1", "4.5"]
+    assert run_with_kernel(KERNEL, CALL) == ["6.5", "9.5", "1", "6.5"]
+    assert run_with_kernel(KERNEL, COMPILE) == ["4.5", "1", "4.5"]
