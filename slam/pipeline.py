@@ -276,7 +276,8 @@ class Slam:
 
     def keyframe_covariance(self, index: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose in its own frame (metres, metres, radians)."""
-        return self.slam_state.mapper.covariances.of_keyframe(index)
+        features = self._journal.features_at(self.slam_state.keyframe_stamps[index])
+        return self.slam_state.mapper.covariances.of_keyframe(index) + features.sweep_covariance
 
     # --- end of the run
 
@@ -314,7 +315,8 @@ class Slam:
         suspects = check_run(
             state, journal, self._publisher, start=float(stamps[0]), after=after, predicted=self._motions.predicted
         )
-        result = final_result(state, (stamps, poses), summary | {"suspects": suspects})
+        sweep_covariances = journal.history(state).sweep_covariances
+        result = final_result(state, (stamps, poses), sweep_covariances, summary | {"suspects": suspects})
         self._publisher.publish(result)
         return result
 

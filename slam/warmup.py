@@ -141,7 +141,7 @@ def compile_estimation() -> None:
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
     placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
     find_suspects(drive_of(scans, [0], placed, state.odometry_model, 0.0))
-    final_result(state, placed, {})
+    final_result(state, placed, history.sweep_covariances, {})
 
 
 def _seen_features(scan: Scan, pose: se2.Pose) -> ProcessedScan:

@@ -13,6 +13,7 @@ from drivers import se2
 
 from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.trajectory_builder import TrajectoryBuilder
+from ..matching.line_matcher import ScanFeatures
 from ..odometry.history import OdometryHistory, wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from ..preprocessing.scan_sequence import ScanSequence
@@ -69,6 +70,10 @@ class Journal:
         if at is None or wheel_travel(se2.between(at, scan.odometry)) > STANDING_TRAVEL:
             self._standing_at, self._standing_since = scan.odometry, len(self.scans)
         self.scans.append(scan)
+
+    def features_at(self, stamp: float) -> ScanFeatures:
+        """Return the features of the scan with a stamp (seconds)."""
+        return self.scans.features(int(np.searchsorted(self.scans.stamps, stamp)))
 
     def mark_last_familiar(self) -> None:
         """State that the last scan was taken in a familiar place: its features did not enter the map."""

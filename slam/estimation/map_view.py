@@ -23,8 +23,14 @@ from .slam_state import SlamState
 MAX_INTERSECTION_DISTANCE = 0.1
 
 
-def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: dict[str, object]) -> Finished:
-    """Return the result of a settled estimate with all covariances; `trajectory` is stamps (m,) and poses (m, 3)."""
+def final_result(
+    state: SlamState, trajectory: tuple[Floats, Floats], sweep_covariances: Floats, summary: dict[str, object]
+) -> Finished:
+    """Return the result of a settled estimate with all covariances.
+
+    trajectory         stamps (m,) and poses (m, 3)
+    sweep_covariances  (k, 3, 3) of the keyframes, see `ScanFeatures`
+    """
     mapper = state.mapper
     marginals, drift = mapper.graph.marginals(), DriftCovariance(mapper)
     walls, corners = _features(mapper, marginals, drift)
@@ -36,7 +42,7 @@ def final_result(state: SlamState, trajectory: tuple[Floats, Floats], summary: d
         stamps=trajectory[0],
         poses=trajectory[1],
         summary=summary,
-        keyframe_covariance=mapper.covariances.of_all(marginals, drift),
+        keyframe_covariance=mapper.covariances.of_all(marginals, drift) + sweep_covariances,
     )
 
 

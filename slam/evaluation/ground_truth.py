@@ -66,13 +66,16 @@ def measure(
     covariances = finished.keyframe_covariance
     assert covariances is not None
     truth, shifts = _true_poses(simulation, finished)
-    covariances = covariances + np.einsum("ki,kj->kij", shifts, shifts)
+    sweeps = slam.session.scan_history().sweep_covariances
+    covariances = (
+        covariances + np.einsum("ki,kj->kij", shifts, shifts) + _moved(sweeps[0], se2.between(truth, truth[0]))
+    )
     walls = true_walls(simulation.world if straight is None else straight, truth[0])
     return Nees(
         poses=pose_nees(finished.keyframes[1:], covariances[1:], se2.between(truth[0], truth[1:])),
         walls=wall_nees(finished.walls, walls),
         corners=corner_nees(finished.corners, finished.walls, walls),
-        relative_poses=_relative_pose_nees(slam, finished, truth, shifts),
+        relative_poses=_relative_pose_nees(slam, finished, truth, shifts, sweeps),
     ), finished
 
 
@@ -91,20 +94,29 @@ def _true_poses(simulation: Simulation, finished: Finished) -> tuple[Floats, Flo
     return truth, shifts - np.einsum("kij,j->ki", se2.adjoint(se2.between(truth, truth[0])), shifts[0])
 
 
-def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats, shifts: Floats) -> Floats:
+def _moved(covariances: Floats, poses: Floats) -> Floats:
+    """Return covariances (..., 3, 3) of displacements in frames at `poses` (..., 3) as those of the base there."""
+    adjoint = se2.adjoint(poses)
+    return np.asarray(adjoint @ covariances @ adjoint.swapaxes(-1, -2))
+
+
+def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats, shifts: Floats, sweeps: Floats) -> Floats:
     """Return the NEES (r,) of poses relative to an earlier keyframe.
 
     truth, shifts  (k, 3) the true poses of the keyframes, and the uncertainty of their time
+    sweeps         (k, 3, 3) their sweep covariances, see `ScanFeatures`
     """
     first = np.arange(0, len(truth) - RELATIVE_KEYFRAMES)
     second = first + RELATIVE_KEYFRAMES
     if not len(first):
         return np.zeros(0)
     mapper, estimate = slam.slam_state.mapper, finished.keyframes
-    covariances = [mapper.covariances.relative(*pair) for pair in zip(first.tolist(), second.tolist(), strict=True)]
+    pairs = zip(first.tolist(), second.tolist(), strict=True)
+    covariances = np.array([mapper.covariances.relative(*pair) for pair in pairs])
     relative, true = (se2.between(poses[first], poses[second]) for poses in (estimate, truth))
+    covariances = covariances + sweeps[second] + _moved(sweeps[first], se2.inverse(true))
     moved = shifts[second] - np.einsum("kij,kj->ki", se2.adjoint(se2.inverse(true)), shifts[first])
-    return pose_nees(relative, np.array(covariances) + np.einsum("ki,kj->kij", moved, moved), true)
+    return pose_nees(relative, covariances + np.einsum("ki,kj->kij", moved, moved), true)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,17 +90,18 @@ def without_points(scan: ScanFeatures, removed: NDArray[np.bool_]) -> ScanFeatur
     removed_on, on = (np.bincount(rows[of] + 1, minlength=len(segments) + 1)[1:] for of in (removed, slice(None)))
     stays = 2 * removed_on <= on
     corner_stays = stays[corners.segments].all(axis=1)
-    return ScanFeatures(
-        Segments(
+    return replace(
+        scan,
+        segments=Segments(
             segments.frame[stays], segments.half_length[stays], segments.covariance[stays], segments.bias_slope[stays]
         ),
-        CornerPoints(
+        corners=CornerPoints(
             corners.position[corner_stays],
             corners.covariance[corner_stays],
             (np.cumsum(stays) - 1)[corners.segments[corner_stays]],
             corners.headings[corner_stays],
         ),
-        ScanPoints(points.xy[~removed]),
+        points=ScanPoints(points.xy[~removed]),
     )
 
 

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 class KeyframeCovariances:
     """Covariances (3, 3) of the keyframes' poses of a mapper, in metres and radians; it always shows the present map.
 
+    The pose of a keyframe is that of its de-skewed scan: relative to the true pose of the base, the sweep covariance of
+    its features counts as well.
+
     The stored covariance of a keyframe is that from when it was added, `Mapper.pose_covariances`.
     """
 

@@ -44,10 +44,10 @@ def correct_range_bias_of_scans(scans: Sequence[ScanFeatures], bias: float) -> l
     moved, moved_corners = without_range_bias(all_segments, all_corners, bias)
     rows, corner_rows = _slices(ends.tolist()), _slices(corner_ends.tolist())
     return [
-        ScanFeatures(
-            replace(scan.segments, frame=moved.frame[row]),
-            replace(scan.corners, position=moved_corners.position[at], headings=moved_corners.headings[at]),
-            scan.points,
+        replace(
+            scan,
+            segments=replace(scan.segments, frame=moved.frame[row]),
+            corners=replace(scan.corners, position=moved_corners.position[at], headings=moved_corners.headings[at]),
         )
         for scan, row, at in zip(scans, rows, corner_rows, strict=True)
     ]

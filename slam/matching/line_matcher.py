@@ -7,7 +7,7 @@ point is used once: those on segments that are paired with walls count by these,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -62,11 +62,16 @@ class Registration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanFeatures:
-    """Features of one scan, in the base's frame."""
+    """Features of one scan, in the base's frame.
+
+    sweep_covariance  (3, 3) of the scan's pose relative to that of the base, by errors of odometry during the sweep:
+                      metres and radians, see `slam.preprocessing.motion_uncertainty`
+    """
 
     segments: Segments
     corners: CornerPoints
     points: ScanPoints
+    sweep_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
 
 
 def register(

@@ -80,10 +80,11 @@ def summarise_session(session: StoredSession, summary: dict[str, Any], publisher
     drive = drive_of(session.scans, session.starts, state.trajectory.at_scans(poses), state.odometry_model, start)
     suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps, start), *find_suspects(drive)]
     publisher.publish_suspects(suspects, state.keyframe_stamps, start)
-    bends = settle_wall_bends(state.mapper, session.scan_history())
+    history = session.scan_history()
+    bends = settle_wall_bends(state.mapper, history)
     publisher.publish_residuals(session.scans[-1].stamp, state.mapper)
     summary = summary | {"wall_bends": bends, "suspects": [suspect.row(start) for suspect in suspects]}
-    result = final_result(state, path, summary)
+    result = final_result(state, path, history.sweep_covariances, summary)
     publisher.publish(result)
     return result
 

@@ -19,7 +19,7 @@ from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
 from .deskew import DeskewedScan, deskew, lidar_mount
 from .extraction import build_extractor
-from .motion_uncertainty import add_motion_uncertainty
+from .motion_uncertainty import add_motion_uncertainty, displaced
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +35,10 @@ class ExtractedScan:
         lines, mount = self.features.lines, self.mount
         segments = segments_from_lines(lines, mount)
         corners = corner_points(self.features.corners, segments, mount)
-        segments, corners = add_motion_uncertainty(
+        segments, corners, sweep_covariance = add_motion_uncertainty(
             segments, corners, lines, self.deskewed, model, self.features.noise, mount
         )
-        return ScanFeatures(segments, corners, _points(self.deskewed, mount))
+        return ScanFeatures(segments, corners, _points(self.deskewed, mount), sweep_covariance)
 
     def moved_to(self, reference: DeskewedScan, model: OdometryModel) -> ExtractedScan:
         """Return the scan as if it belonged to the stamp of another one; odometry says how the base has moved.
@@ -85,18 +85,22 @@ def _points(scan: DeskewedScan, mount: se2.Pose) -> ScanPoints:
 
 
 def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:
-    """Return the features of two lidars at the same stamp as those of one scan, the first lidar's first."""
+    """Return the features of two lidars at the same stamp as those of one scan, the first lidar's first.
+
+    The pose is that of the first scan: the second one counts with the displacements of both.
+    """
+    others, other_corners = displaced(second.segments, second.corners, first.sweep_covariance + second.sweep_covariance)
     segments = Segments(
-        np.concatenate([first.segments.frame, second.segments.frame]),
-        np.concatenate([first.segments.half_length, second.segments.half_length]),
-        np.concatenate([first.segments.covariance, second.segments.covariance]),
-        np.concatenate([first.segments.bias_slope, second.segments.bias_slope]),
+        np.concatenate([first.segments.frame, others.frame]),
+        np.concatenate([first.segments.half_length, others.half_length]),
+        np.concatenate([first.segments.covariance, others.covariance]),
+        np.concatenate([first.segments.bias_slope, others.bias_slope]),
     )
     corners = CornerPoints(
-        np.concatenate([first.corners.position, second.corners.position]),
-        np.concatenate([first.corners.covariance, second.corners.covariance]),
-        np.concatenate([first.corners.segments, second.corners.segments + len(first.segments)]),
-        np.concatenate([first.corners.headings, second.corners.headings]),
+        np.concatenate([first.corners.position, other_corners.position]),
+        np.concatenate([first.corners.covariance, other_corners.covariance]),
+        np.concatenate([first.corners.segments, other_corners.segments + len(first.segments)]),
+        np.concatenate([first.corners.headings, other_corners.headings]),
     )
     points = np.concatenate([first.points.xy, second.points.xy])
-    return ScanFeatures(segments, corners, ScanPoints(points))
+    return ScanFeatures(segments, corners, ScanPoints(points), first.sweep_covariance)

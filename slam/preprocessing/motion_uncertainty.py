@@ -15,18 +15,24 @@ the line, the motion moves it across the line by e(s_k) t'p_k + s_k n'b:
     [d, h] = sum_k g_k (e(s_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
 
 This is linear in b and in the steps of the random walk, STEPS on either side of the middle. Let the responses R_i
-(2, m) of segment i be its changes by one standard deviation of each of these errors. Segments i and j share the
-covariance
+(2, m) of segment i be its changes by one standard deviation of each of these errors.
 
-    K_ij = R_i R_j'
+To a large part they move all segments together, as if the robot had been at another pose. The scan is a rigid body
+then, and its walls fit those of other scans: that part must not make the walls uncertain. It is the displacement G
+(3, m) of the scan. With the derivatives J_i (2, 3) of a segment by a displacement, the covariance D_i of the sensor
+noise, what the displacement leaves of the responses, S_i, and the weights W_i of the segment in the estimate,
 
-Segments enter the estimate as independent, with the covariances D_i + a K_ii instead: D_i is that of the sensor noise.
-The factor a is chosen such that the covariance that this implies for the robot's pose is that of the same estimate with
-the true K: with the weights W_i of each segment, the derivatives J_i by the pose, and H = sum_i J_i' W_i J_i,
+    S_i = R_i - J_i G,    W_i = (D_i + S_i S_i')^-1,    H = sum_i J_i' W_i J_i,    F = H^-1 sum_i J_i' W_i R_i
 
-    a = tr(H^-1 sum_ij J_i' W_i K_ij W_j J_j) / tr(H^-1 sum_i J_i' W_i K_ii W_i J_i)
+F is the displacement that the segments show. In directions that they hardly determine, such as along a corridor, it
+follows how single walls are bent, with the covariance B. The displacement itself has at most that of the pose at the
+ends of the sweep, P, so
 
-It is at least one: so large is the error of a single segment.
+    B = H^-1 (sum_i J_i' W_i S_i S_i' W_i J_i) H^-1,    G = P (P + B)^-1 F
+
+Keyframes in the graph have the pose of the displaced scan, so segment i has the covariance D_i + S_i S_i'. The errors
+that are left are correlated among the segments, but hardly move the pose together. The robot is at that pose with the
+additional covariance G G', the sweep covariance, which counts where poses are published.
 """
 
 from __future__ import annotations
@@ -38,7 +44,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.line_segments import MIN_WALL_DISTANCE
 from ..geometry.segments import CornerPoints, Floats, Segments
@@ -52,10 +58,11 @@ if TYPE_CHECKING:
 # Steps of the random walk from the middle of a sweep to either end. Origin: numerical, with 64 the variances of the
 # walls of a room differ by less than a hundredth in the median, and by 9 % at most.
 STEPS = 16
-# Iterations of the factor, which the information of the segments depends on. Origin: numerical, it changes by less than
-# a hundredth after that.
+# Iterations of the displacement, on which its weights depend. Origin: numerical, it changes by less than a hundredth
+# after that.
 ITERATIONS = 5
-# Information of a pose that is added for conditioning: standard deviations of a kilometre. Origin: numerical.
+# Share of the inverse of P that is added to H: a single wall does not determine a displacement along it. Origin:
+# numerical, little beside the information of walls, and far more than rounding errors of it.
 CONDITIONING = 1e-6
 # Sine of the least angle between a beam and a wall, and least determinant of the fit of a line, for conditioning.
 # Origin: numerical.
@@ -71,23 +78,44 @@ def add_motion_uncertainty(
     model: OdometryModel,
     noise: Noise,
     mount: se2.Pose,
-) -> tuple[Segments, CornerPoints]:
+) -> tuple[Segments, CornerPoints, Floats]:
     """Add odometry's uncertainty during the sweep to the covariances of segments and corners; see the module.
 
     segments, corners  of the scan, in the base's frame
     lines              from which the segments were made, in the same order
     noise              of a ray, from which the weights of the fit follow
     mount              pose of the lidar in the base's frame
+    Returns also the sweep covariance (3, 3), of the scan's displacement in the base's frame, metres and radians.
     """
     if not len(segments) or not scan.travel.any():
-        return segments, corners
+        return segments, corners, np.zeros((3, 3))
     responses = _segment_responses(segments, lines, scan, model, noise, mount)
-    motion = responses @ responses.transpose(0, 2, 1)
-    inflation = _variance_inflation(segments.covariance, _pose_jacobians(segments), motion, responses)
-    of_corners = _corner_covariances(segments.frame, corners.position, corners.segments, responses)
-    return replace(segments, covariance=segments.covariance + inflation * motion), replace(
-        corners, covariance=corners.covariance + inflation * of_corners
+    translation, rotation = (float(variance) for variance in model.variances(np.array(_reach(scan))))
+    limit = np.diag([translation, translation, rotation])
+    left, displacement = _without_displacement(segments.covariance, _jacobians(segments), responses, limit)
+    of_corners = _corner_covariances(segments.frame, corners.position, corners.segments, left)
+    return (
+        replace(segments, covariance=segments.covariance + left @ left.transpose(0, 2, 1)),
+        replace(corners, covariance=corners.covariance + of_corners),
+        displacement @ displacement.T,
     )
+
+
+def displaced(segments: Segments, corners: CornerPoints, covariance: Floats) -> tuple[Segments, CornerPoints]:
+    """Add the covariance (3, 3) of a displacement of the whole scan to those of its segments and corners."""
+    jacobians = _jacobians(segments)
+    of_corners = np.zeros((len(corners), 2, 3))
+    of_corners[:, 0, 0] = of_corners[:, 1, 1] = 1.0
+    of_corners[:, 0, 2], of_corners[:, 1, 2] = -corners.position[:, 1], corners.position[:, 0]
+    return (
+        replace(segments, covariance=segments.covariance + jacobians @ covariance @ jacobians.transpose(0, 2, 1)),
+        replace(corners, covariance=corners.covariance + of_corners @ covariance @ of_corners.transpose(0, 2, 1)),
+    )
+
+
+def _reach(scan: DeskewedScan) -> float:
+    """Return how far from the middle of a sweep the errors matter, metres of travel."""
+    return max(float(scan.travel.max()), scan.fitted)
 
 
 def _segment_responses(
@@ -95,7 +123,7 @@ def _segment_responses(
 ) -> Floats:
     """Return (n, 2, 2 STEPS + 2) the changes of offset and heading by one standard deviation of each error."""
     translation, rotation = (float(variance) for variance in model.variances(np.ones(())))  # after one metre
-    reach = max(float(scan.travel.max()), scan.fitted)
+    reach = _reach(scan)
     before = np.arange(len(scan.travel)) < int(np.argmin(scan.travel))
     turns, shifts = _unit_responses(
         segments.frame,
@@ -195,11 +223,8 @@ def _share_in_fit(travel, fitted):  # type: ignore[no-untyped-def]
     return (4.0 - 9.0 * part + 5.0 * part**3) / 8.0
 
 
-def _pose_jacobians(segments: Segments) -> Floats:
-    """Return (n, 2, 3) the derivatives of each segment's offset and heading by the motion of the base [x, y, heading].
-
-    They have the opposite sign of those of the measurements; only their products are used.
-    """
+def _jacobians(segments: Segments) -> Floats:
+    """Return (n, 2, 3) the derivatives of each segment's offset and heading by a displacement [x, y, heading]."""
     jacobians = np.zeros((len(segments), 2, 3))
     jacobians[:, 0, 0], jacobians[:, 0, 1] = -np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])
     jacobians[:, 0, 2] = jacobians[:, 0, 1] * segments.frame[:, 0] - jacobians[:, 0, 0] * segments.frame[:, 1]
@@ -208,54 +233,66 @@ def _pose_jacobians(segments: Segments) -> Floats:
 
 
 @compiled
-def _variance_inflation(covariances, jacobians, motion, responses):  # type: ignore[no-untyped-def]
-    """Return the variance inflation factor a of the module's documentation.
+def _without_displacement(covariances, jacobians, responses, limit):  # type: ignore[no-untyped-def]
+    """Return S (n, 2, m) and G (3, m) of the module's documentation.
 
-    covariances  (n, 2, 2) of the segments without the motion
-    jacobians    (n, 2, 3) by the pose
-    motion       (n, 2, 2) K_ii
-    responses    (n, 2, m) R_i
+    covariances  (n, 2, 2) D of the segments
+    jacobians    (n, 2, 3) J by a displacement
+    responses    (n, 2, m) R
+    limit        (3, 3) P
     """
-    inflation = 1.0
+    left, displacement = responses.copy(), np.zeros((3, responses.shape[2]))
     for _ in range(ITERATIONS):
-        information, separate, correlated = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
-        together = np.zeros((3, responses.shape[2]))
+        information, bends = CONDITIONING * inverse(limit), np.zeros((3, 3))
+        together = np.zeros_like(displacement)
         for i in range(len(covariances)):
-            gain = _gain(covariances[i] + inflation * motion[i], jacobians[i])
-            for k in range(3):
-                for m in range(3):
-                    information[k, m] += gain[k, 0] * jacobians[i, 0, m] + gain[k, 1] * jacobians[i, 1, m]
-                    of_offset = gain[k, 0] * motion[i, 0, 0] + gain[k, 1] * motion[i, 1, 0]
-                    of_heading = gain[k, 0] * motion[i, 0, 1] + gain[k, 1] * motion[i, 1, 1]
-                    separate[k, m] += of_offset * gain[m, 0] + of_heading * gain[m, 1]
-                for m in range(responses.shape[2]):
-                    together[k, m] += gain[k, 0] * responses[i, 0, m] + gain[k, 1] * responses[i, 1, m]
-        for k in range(3):
-            information[k, k] += CONDITIONING
-            for m in range(3):
-                for n in range(responses.shape[2]):
-                    correlated[k, m] += together[k, n] * together[m, n]
-        covariance, implied, actual = inverse(information), 0.0, 0.0
-        for k in range(3):
-            for m in range(3):  # the traces of products, as all are symmetric
-                implied += covariance[k, m] * separate[k, m]
-                actual += covariance[k, m] * correlated[k, m]
-        if implied <= 0.0:
-            return 1.0
-        inflation = max(1.0, actual / implied)
-    return inflation
+            gain = _gain(covariances[i], left[i], jacobians[i])
+            _add_product(information, gain, jacobians[i])
+            _add_product(together, gain, responses[i])
+            moved = _product(gain, left[i])
+            _add_product(bends, moved, moved.T)
+        covariance = inverse(information)
+        of_bends = _product(_product(covariance, bends), covariance)
+        shares = _product(limit, inverse(limit + of_bends))
+        displacement = _product(shares, _product(covariance, together))
+        left[:] = responses
+        for i in range(len(covariances)):
+            _add_product(left[i], -jacobians[i], displacement)
+    return left, displacement
 
 
 @compiled
-def _gain(covariance, jacobian):  # type: ignore[no-untyped-def]
-    """Return J' W (3, 2) of a segment with the covariance W^-1 (2, 2), and the derivatives J (2, 3) by the pose."""
-    both = covariance[0, 1]
-    determinant = covariance[0, 0] * covariance[1, 1] - both * both
+def _product(first, second):  # type: ignore[no-untyped-def]
+    """Return the product of two small matrices."""
+    total = np.zeros((first.shape[0], second.shape[1]))
+    _add_product(total, first, second)
+    return total
+
+
+@inlined
+def _add_product(total, first, second):  # type: ignore[no-untyped-def]
+    """Add the product of two small matrices to `total`."""
+    for i in range(first.shape[0]):
+        for j in range(first.shape[1]):
+            factor = first[i, j]
+            for m in range(second.shape[1]):
+                total[i, m] += factor * second[j, m]
+
+
+@compiled
+def _gain(noise, left, jacobian):  # type: ignore[no-untyped-def]
+    """Return J' W (3, 2) of a segment with the covariance D (2, 2), what is left of its responses S (2, m), and J."""
+    of_offset, of_heading, both = noise[0, 0], noise[1, 1], noise[0, 1]
+    for m in range(left.shape[1]):
+        of_offset += left[0, m] * left[0, m]
+        of_heading += left[1, m] * left[1, m]
+        both += left[0, m] * left[1, m]
+    determinant = of_offset * of_heading - both * both
     gain = np.empty((3, 2))
     for k in range(3):
         offset, heading = jacobian[0, k], jacobian[1, k]
-        gain[k, 0] = (covariance[1, 1] * offset - both * heading) / determinant
-        gain[k, 1] = (covariance[0, 0] * heading - both * offset) / determinant
+        gain[k, 0] = (of_heading * offset - both * heading) / determinant
+        gain[k, 1] = (of_offset * heading - both * offset) / determinant
     return gain
 
 

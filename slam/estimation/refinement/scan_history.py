@@ -84,6 +84,11 @@ class ScanHistory:
         """Mask (n,) of the scans whose features were stored."""
         return ScanSequence.of(self.scans).has_features
 
+    @property
+    def sweep_covariances(self) -> Floats:
+        """Sweep covariances (k, 3, 3) of the keyframes, see `ScanFeatures`."""
+        return np.array([self.scans[row].features.sweep_covariance for row in self.keyframes.tolist()])
+
     def trajectory(self, keyframe_poses: Floats, poses: Floats) -> TrajectoryBuilder:
         """Return the trajectory with the scans at `poses` (n, 3), relative to keyframes at their poses (k, 3)."""
         relative = se2.between(keyframe_poses[self.anchors], poses).reshape(-1, 3)

@@ -26,6 +26,12 @@ SEGMENT_COLUMNS = (
 )
 CORNER_COLUMNS = ("x", "y", "xx", "xy", "yy")
 POINT_COLUMNS = ("point_x", "point_y")
+SWEEP_COLUMN = "sweep_covariance"
+"""Upper triangles of the sweep covariances. Earlier versions had them in the covariances of segments and corners."""
+UPPER_TRIANGLE = np.triu_indices(3)
+# Share of a covariance's trace by which an eigenvalue may be negative, as entries are rounded. Origin: numerical, some
+# units of single precision.
+ROUNDED = 1e-6
 
 
 def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, Ragged]:
@@ -44,6 +50,7 @@ def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, 
         columns[f"corner_{name}"] = Ragged(column.astype(dtype), corner_counts)
     for k, name in enumerate(("before", "after")):
         columns[f"corner_{name}"] = to_ragged([scan.corners.segments[:, k] for scan in scans], np.int32)
+    columns[SWEEP_COLUMN] = to_ragged([scan.sweep_covariance[UPPER_TRIANGLE] for scan in scans], dtype)
     return columns | _point_columns([scan.points.xy for scan in scans], exact=exact)
 
 
@@ -78,7 +85,7 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
     segments = split_rows(*table.ragged_floats(*(f"segment_{name}" for name in SEGMENT_COLUMNS)))
     corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS)))
     pairs = split_rows(*table.ragged_integers("corner_before", "corner_after"))
-    points = _read_points(table, exact=exact)
+    points, sweeps = _read_points(table, exact=exact), _read_sweep_covariances(table, file)
     contiguous = np.ascontiguousarray  # as in a run: compiled functions need not be compiled for another layout
     scans = []
     for name, rows, first in (("segment", segments, 4), ("corner", corners, 2)):
@@ -104,9 +111,26 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
                     frame[pairs[row], 2].reshape(-1, 2),
                 ),
                 ScanPoints(points[row]),
+                sweeps[row],
             )
         )
     return scans
+
+
+def _read_sweep_covariances(table: TableReader, file: Path) -> Floats:
+    """Return the sweep covariances (n, 3, 3), zero for scans without. Raises MapError naming the file."""
+    covariances = np.zeros((len(table), 3, 3))
+    if SWEEP_COLUMN not in table:
+        return covariances
+    values, lengths = table.ragged_floats(SWEEP_COLUMN)
+    rows = np.flatnonzero(lengths)
+    if not np.isin(lengths, (0, len(UPPER_TRIANGLE[0]))).all():
+        raise MapError(f"{file}: a sweep covariance does not have {len(UPPER_TRIANGLE[0])} entries")
+    for k, (i, j) in enumerate(zip(*UPPER_TRIANGLE, strict=True)):
+        covariances[rows, i, j] = covariances[rows, j, i] = values[k :: len(UPPER_TRIANGLE[0]), 0]
+    if (np.linalg.eigvalsh(covariances) < -ROUNDED * np.trace(covariances, axis1=1, axis2=2)[:, None]).any():
+        raise MapError(f"{file}: a sweep covariance has a negative variance")
+    return covariances
 
 
 def _read_points(table: TableReader, *, exact: bool) -> list[Floats]:

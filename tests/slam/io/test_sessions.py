@@ -25,7 +25,7 @@ from slam.errors import MapError, SlamError
 from slam.graph.graph_storage import graph_state
 from slam.io.output_dir import CONFIG, SESSION
 from slam.io.sessions import Recording, StoredSession, is_session, read_session, write_session
-from slam.io.sessions.session import FACTORS, HEADER, SCANS, WALLS
+from slam.io.sessions.session import FACTORS, HEADER, RECENT_KEYFRAMES, SCANS, WALLS
 from slam.io.sessions.tables import TableReader, to_ragged, write_table
 from slam.loop_closure.decision import LoopMatch
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
@@ -160,10 +160,23 @@ def test_scans_are_read_back(written: tuple[StoredSession, Path]) -> None:
         np.testing.assert_array_equal(after.corners.segments, before.corners.segments)
         np.testing.assert_allclose(se2.wrap(after.corners.headings - before.corners.headings), 0, atol=1e-6)
         np.testing.assert_allclose(after.points.xy, before.points.xy, atol=6e-4)
+        np.testing.assert_allclose(after.sweep_covariance, before.sweep_covariance, rtol=1e-6)
+    assert history.sweep_covariances.any()
     for row in expected.keyframes[-5:]:  # the next scans will be matched to these
         before, after = expected.scans[row].features, history.scans[row].features
         np.testing.assert_array_equal(after.segments.frame, before.segments.frame)
         np.testing.assert_array_equal(after.points.xy, before.points.xy)
+        np.testing.assert_array_equal(after.sweep_covariance, before.sweep_covariance)
+
+
+def test_scans_of_earlier_versions_have_no_sweep_covariance(
+    written: tuple[StoredSession, Path], tmp_path: Path
+) -> None:
+    """The errors of the sweep were part of the covariances of their segments and corners."""
+    path = shutil.copytree(written[1], tmp_path / "out")
+    for file in (path / SESSION / SCANS, path / SESSION / RECENT_KEYFRAMES):
+        pq.write_table(pq.read_table(file).drop_columns(["sweep_covariance"]), file)
+    assert not read_session(path).scan_history().sweep_covariances.any()
 
 
 def test_scans_are_the_same_in_any_number_of_groups(
@@ -323,6 +336,7 @@ CHANGES: list[tuple[str, str, Any, str]] = [
     ("variables.parquet", "id", 10**6, "(the keyframes are not in order|does not exist)"),
     (SCANS, "segment_offset_offset", -1.0, "the covariance of a segment is not positive definite"),
     (SCANS, "segment_offset_offset", 1e-300, "the covariance of a segment is not positive definite"),
+    (SCANS, "sweep_covariance", -1.0, "a sweep covariance has a negative variance"),
     (WALLS, "x", 1e300, "the column x has values beyond 1e\\+15"),
     (WALLS, "high", 1e15, "a wall has an end that is not within 100000 m"),
     (WALLS, "low", float("-inf"), "a wall has an end that is not within 100000 m"),

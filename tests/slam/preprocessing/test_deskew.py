@@ -175,9 +175,10 @@ def test_a_longer_sweep_increases_the_covariances() -> None:
         features = Extractor(Noise(0.01, 0.001)).extract(ranges, angles)
         segments = segments_from_lines(features.lines, np.zeros(3))
         corners = corner_points(features.corners, segments, np.zeros(3))
-        segments, corners = add_motion_uncertainty(
+        segments, corners, of_sweep = add_motion_uncertainty(
             segments, corners, features.lines, sweep, noise, Noise(0.01, 0.001), np.zeros(3)
         )
         assert np.linalg.eigvalsh(segments.covariance).min() > 0
-        variances.append([segments.covariance[:, 0, 0].sum(), np.trace(corners.covariance, axis1=1, axis2=2).sum()])
+        of_corners = np.trace(corners.covariance, axis1=1, axis2=2).sum()
+        variances.append([segments.covariance[:, 0, 0].sum(), of_corners, *np.diag(of_sweep)])
     assert (np.diff(variances, axis=0) > 0).all()

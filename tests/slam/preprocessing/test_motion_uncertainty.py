@@ -1,4 +1,4 @@
-"""The covariances with the motion's uncertainty are those of lines that are fitted to the beams of a bent scan."""
+"""Errors of the motion bend a scan, which its segments contain, and displace it, which the sweep covariance states."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from features import Noise
 from slam.config import OdometryConfig
 from slam.geometry.segments import CornerPoints, Segments
 from slam.odometry.error_model import OdometryModel
-from slam.preprocessing.motion_uncertainty import _unit_responses, add_motion_uncertainty
+from slam.preprocessing.motion_uncertainty import _unit_responses, add_motion_uncertainty, displaced
 
 BEAMS = 720
 END = 0.04
@@ -54,8 +54,8 @@ class Room:
         covariance = np.tile(sigma**2 * np.eye(2), (len(ends), 1, 1))
         self.segments = Segments(np.array(frames), np.array(half_lengths), covariance)
 
-    def claimed(self, fitted: float, corners: CornerPoints = NO_CORNERS) -> tuple[Segments, CornerPoints]:
-        """Return segments and corners with the uncertainty of the motion."""
+    def claimed(self, fitted: float, corners: CornerPoints = NO_CORNERS) -> tuple[Segments, CornerPoints, np.ndarray]:
+        """Return segments and corners with the uncertainty of the motion, and the sweep covariance (3, 3)."""
         sweep = SimpleNamespace(travel=np.abs(TRAVEL), bearings=BEARINGS, fitted=fitted)
         lines = SimpleNamespace(first=self.first, last=self.last)
         return add_motion_uncertainty(self.segments, corners, lines, sweep, MODEL, NOISE, MOUNT)  # type: ignore[arg-type]
@@ -74,32 +74,65 @@ FULL_TURN = [0, 40, 100, 190, 270, 330, 420, 480, 560, 620, 690]
 FIT = pytest.mark.parametrize("fitted", [0.0, 0.01, END], ids=["not fitted", "over a quarter", "over the whole sweep"])
 
 
+SIGMAS = pytest.mark.parametrize("sigma", [1e-4, 2e-3, 0.02], ids=["motion dominates", "both", "sensor dominates"])
+
+
+@SIGMAS
 @FIT
-def test_each_segment_contains_how_the_motion_bends_it(fitted: float) -> None:
+def test_segments_contain_how_the_motion_bends_the_scan_and_the_pose_how_it_displaces_it(
+    sigma: float, fitted: float
+) -> None:
     random = np.random.default_rng(1)
-    room = Room(random, FULL_TURN, 1e-6)
-    claimed = room.claimed(fitted)[0].covariance
+    room = Room(random, FULL_TURN, sigma)
+    segments, _, of_sweep = room.claimed(fitted)
     errors = room.measured(motion_errors(random, fitted))
-    nees = np.einsum("rni,nij,rnj->n", errors, np.linalg.inv(claimed), errors) / (2 * DRAWS)
-    assert (nees < 1.1).all()  # at least as uncertain as its own error
-    true = np.einsum("rni,rnj->nij", errors, errors) / DRAWS
-    factors = np.linalg.norm(claimed, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))
-    assert np.ptp(np.log(factors)) < 0.25  # the same factor for all segments
+    displacements, left = displacements_of(segments, errors)
+    nees = np.einsum("ni,ij,nj->n", displacements, np.linalg.inv(of_sweep), displacements).mean() / 3
+    cancels = fitted == END  # errors at both ends of the sweep nearly do, which the steps represent less exactly
+    assert (0.6 if cancels else 0.85) < nees < 1.3  # bends of the room are left to the segments
+    bends = segments.covariance - sigma**2 * np.eye(2)
+    true = np.einsum("rni,rnj->nij", left, left) / DRAWS
+    factors = np.linalg.norm(bends, axis=(1, 2)) / np.linalg.norm(true, axis=(1, 2))
+    assert (factors > 0.7).all()
+    assert 0.85 < np.exp(np.log(factors).mean()) < 1.3
 
 
-@pytest.mark.parametrize("sigma", [1e-4, 2e-3, 0.02], ids=["motion dominates", "both", "sensor dominates"])
+@SIGMAS
 @FIT
-def test_pose_estimates_have_the_covariance_that_independent_segments_imply(sigma: float, fitted: float) -> None:
+def test_the_pose_in_known_walls_has_the_covariance_of_independent_segments_and_of_the_sweep(
+    sigma: float, fitted: float
+) -> None:
     random = np.random.default_rng(2)
     room = Room(random, FULL_TURN, sigma)
-    jacobians, weights = pose_jacobians(room.segments), np.linalg.inv(room.claimed(fitted)[0].covariance)
-    normal = np.einsum("nki,nkl,nlj->ij", jacobians, weights, jacobians)
+    segments, _, of_sweep = room.claimed(fitted)
     measured = room.measured(motion_errors(random, fitted))
     measured += sigma * random.standard_normal(measured.shape)
-    errors = np.linalg.solve(normal, np.einsum("nki,nkl,rnl->ir", jacobians, weights, measured)).T
-    nees = np.einsum("ni,ij,nj->n", errors, normal, errors).mean() / 3
-    cancels = fitted == END and sigma < 1e-3  # errors at both ends of the sweep; each segment has its own all the same
-    assert (0.6 if cancels else 0.85) < nees < 1.15
+    errors, _ = displacements_of(segments, measured)
+    jacobians = pose_jacobians(segments)
+    normal = np.einsum("nki,nkl,nlj->ij", jacobians, np.linalg.inv(segments.covariance), jacobians)
+    claimed = np.linalg.inv(normal) + of_sweep
+    nees = np.einsum("ni,ij,nj->n", errors, np.linalg.inv(claimed), errors).mean() / 3
+    cancels = fitted == END and sigma < 1e-3  # errors at both ends of the sweep
+    assert (0.5 if cancels else 0.75) < nees < 1.15
+
+
+def test_a_displacement_does_not_make_walls_uncertain() -> None:
+    room = Room(np.random.default_rng(3), FULL_TURN, 1e-3)
+    segments, _, of_sweep = room.claimed(0.0)
+    total, _ = displaced(segments, NO_CORNERS, of_sweep)
+    bends = np.linalg.det(segments.covariance - room.segments.covariance)
+    assert (bends < 0.9 * np.linalg.det(total.covariance - room.segments.covariance)).all()
+
+
+def test_a_single_wall_has_no_part_in_the_direction_that_it_does_not_determine() -> None:
+    room = Room(np.random.default_rng(3), FULL_TURN, 1e-3)
+    alone = room.first[:1], room.last[:1]
+    room.first, room.last = alone
+    frame = room.segments.frame[:1]
+    room.segments = Segments(frame, room.segments.half_length[:1], room.segments.covariance[:1])
+    along = np.array([np.cos(frame[0, 2]), np.sin(frame[0, 2])])
+    of_position = room.claimed(0.01)[2][:2, :2]
+    assert along @ of_position @ along < 1e-3 * np.trace(of_position)
 
 
 def test_scans_of_one_wall_and_of_many_run_the_same_compiled_code() -> None:
@@ -116,19 +149,36 @@ def test_scans_of_one_wall_and_of_many_run_the_same_compiled_code() -> None:
 
 def test_a_corner_moves_with_its_walls() -> None:
     random = np.random.default_rng(3)
-    room = Room(random, FULL_TURN, 1e-6)
+    room = Room(random, FULL_TURN, 1e-5)
     pair, frames = np.array([[1, 2]]), room.segments.frame[[1, 2]]
     across = np.column_stack([-np.sin(frames[:, 2]), np.cos(frames[:, 2])])
     along = np.column_stack([across[:, 1], -across[:, 0]])
     position = np.linalg.solve(across, np.sum(across * frames[:, :2], axis=1))
     corner = CornerPoints(position[None], np.zeros((1, 2, 2)), pair, np.zeros((1, 2)))
-    segments, corners = room.claimed(0.0, corner)
+    segments, corners, _ = room.claimed(0.0, corner)
     places = np.sum(along * (position - frames[:, :2]), axis=1)
-    lines = room.measured(motion_errors(random, 0.0))[:, [1, 2]]
+    lines = displacements_of(segments, room.measured(motion_errors(random, 0.0)))[1][:, [1, 2]]
     moves = np.linalg.solve(across, (lines[..., 0] + places * lines[..., 1]).T).T
     of_corner = np.einsum("ri,ij,rj->", moves, np.linalg.inv(corners.covariance[0]), moves) / (2 * DRAWS)
     of_lines = np.einsum("rni,nij,rnj->n", lines, np.linalg.inv(segments.covariance[[1, 2]]), lines) / (2 * DRAWS)
     assert of_corner == pytest.approx(of_lines.mean(), rel=0.15)
+
+
+def test_a_displacement_moves_corners_with_the_scan() -> None:
+    corners = CornerPoints(np.array([[2.0, 1.0]]), np.zeros((1, 2, 2)), np.zeros((1, 2), dtype=int), np.zeros((1, 2)))
+    segments = Segments(np.array([[0.0, 3.0, 0.0]]), np.ones(1), np.zeros((1, 2, 2)))
+    sweep = np.diag([0.01, 0.02, 0.001]) ** 2
+    moved_segments, moved = displaced(segments, corners, sweep)
+    np.testing.assert_allclose(np.diag(moved.covariance[0]), [1e-4 + 1e-6, 4e-4 + 4e-6])
+    np.testing.assert_allclose(np.diag(moved_segments.covariance[0]), [4e-4, 1e-6])
+
+
+def displacements_of(segments: Segments, errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the displacements (r, 3) that fit the errors (r, n, 2) of segments best, and the errors left by them."""
+    jacobians, weights = pose_jacobians(segments), np.linalg.inv(segments.covariance)
+    normal = np.einsum("nki,nkl,nlj->ij", jacobians, weights, jacobians)
+    found = np.linalg.solve(normal, np.einsum("nki,nkl,rnl->ir", jacobians, weights, errors)).T
+    return found, errors - np.einsum("nki,ri->rnk", jacobians, found)
 
 
 def pose_jacobians(segments: Segments) -> np.ndarray:
