@@ -26,7 +26,9 @@ from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotio
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
 from ..matching.bias_correction import correct_range_bias
-from ..matching.point_matcher import INDEPENDENT_SHARE, point_information
+from ..matching.point_matcher import INDEPENDENT_SHARE, POINT_SPACING, point_information
+from ..matching.scan_points import surface_points
+from ..matching.shared_points import split_information
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_selection import is_due, learn_between_keyframes, learn_motion
 from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, search_loop
@@ -221,7 +223,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     timer.lap("association")
     begins_part = state.at_part_begin
     motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking)
-    point_motion = _point_motion(state, scan, tracking)
+    point_motions = _point_motions(state, scan, tracking)
     observations = mapper.add_keyframe(
         state.pose,
         motion,
@@ -229,7 +231,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
         features.corners,
         association,
         state.local_map,
-        point_motion,
+        point_motions,
         features.points.xy,
     )
     state.keyframe_stamps.append(scan.stamp)
@@ -264,19 +266,30 @@ def _undetermined_share(tracking: TrackingResult) -> float:
     return share
 
 
-def _point_motion(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> PointMotion | None:
-    """Return the pose of a scan relative to an old keyframe nearby, by its points that are on no known wall."""
-    reference = state.local_field.reference(state.pose)
-    if reference is None:
-        return None
-    keyframe, pose = reference
-    of_scan, of_start = tracking.registration.point_information, point_information(state.local_field.points(keyframe))
-    limit = state.odometry_model.limit_information
-    covariance = _covariance_of(limit(INDEPENDENT_SHARE * of_scan, scan.travel))
-    # The sweep of the earlier scan is taken to be like this one.
-    start_covariance = _covariance_of(limit(INDEPENDENT_SHARE * of_start, scan.travel))
-    relative = se2.between(pose, tracking.registration.point_pose)
-    return PointMotion(keyframe, relative, covariance, start_covariance)
+def _point_motions(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> list[PointMotion]:
+    """Return the pose of a scan relative to old keyframes nearby, by its points that are on no known wall.
+
+    It is measured relative to the oldest one by the surfaces that this one has seen, and relative to the latest one by
+    all others. Relative to the oldest one they would count the errors of all keyframes since as measured.
+    """
+    field, registration = state.local_field, tracking.registration
+    references, parts = field.references(state.pose), [registration.point_information]
+    if len(references) > 1:
+        oldest, pose = references[0]
+        points = surface_points(scan.features.points.xy, scan.features.segments, POINT_SPACING)
+        relative = se2.between(pose, registration.point_pose)
+        parts = list(split_information(parts[0], field.points(oldest), points, relative))
+    # The sweeps of the earlier scans are taken to be like this one.
+    limited = partial(state.odometry_model.limit_information, travel=scan.travel)
+    return [
+        PointMotion(
+            keyframe,
+            se2.between(pose, registration.point_pose),
+            _covariance_of(limited(INDEPENDENT_SHARE * of_scan)),
+            _covariance_of(limited(INDEPENDENT_SHARE * point_information(field.points(keyframe)))),
+        )
+        for (keyframe, pose), of_scan in zip(references, parts, strict=False)
+    ]
 
 
 def _covariance_of(information: Floats) -> Floats:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -195,10 +194,17 @@ class LocalField:
         self._links = [(a, b) for a, b in self._links if min(a, b) >= first or max(a, b) not in keyframes]
         self._outdated = True
 
-    def reference(self, pose: se2.Pose) -> tuple[int, se2.Pose] | None:
-        """Return the oldest keyframe near a pose whose points are in the field, and its pose in the field."""
-        oldest = _oldest_near(self._inserted, self._inserted_poses, pose)
-        return None if oldest < 0 else (int(self._inserted[oldest]), self._inserted_poses[oldest])
+    def references(self, pose: se2.Pose) -> list[tuple[int, se2.Pose]]:
+        """Return the oldest and the latest keyframe near a pose whose points are in the field, and their poses in it.
+
+        They may be the same one, and there may be none.
+        """
+        near = np.flatnonzero(np.hypot(*(self._inserted_poses[:, :2] - pose[:2]).T) < REFERENCE_DISTANCE)
+        if not len(near):
+            return []
+        numbers = self._inserted[near]
+        rows = dict.fromkeys([int(near[numbers.argmin()]), int(near[numbers.argmax()])])
+        return [(int(self._inserted[row]), self._inserted_poses[row]) for row in rows]
 
     def nearest_missing(self, poses: Floats, keyframe: int, connected: NDArray[np.bool_]) -> int | None:
         """Return the keyframe nearest to another one, within REFERENCE_DISTANCE, whose points are not in the field.
@@ -262,17 +268,6 @@ class LocalField:
         driven, links = self.ways(travelled[: len(self._points)]), np.array(self._links, dtype=np.int64)
         _shorten(distance, driven, links.reshape(-1, 2))
         return np.flatnonzero(distance < MAX_PATH)
-
-
-@compiled
-def _oldest_near(keyframes, poses, pose):  # type: ignore[no-untyped-def]
-    """Return the row of the oldest keyframe within REFERENCE_DISTANCE of a pose; -1 if there is none."""
-    oldest = -1
-    for k in range(len(keyframes)):
-        near = math.hypot(poses[k, 0] - pose[0], poses[k, 1] - pose[1]) < REFERENCE_DISTANCE
-        if near and (oldest < 0 or keyframes[k] < keyframes[oldest]):
-            oldest = k
-    return oldest
 
 
 @compiled

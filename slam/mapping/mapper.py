@@ -130,14 +130,14 @@ class Mapper(MappedKeyframes):
         corners: CornerPoints,
         association: Association,
         local_map: LocalMap,
-        point_motion: PointMotion | None = None,
+        point_motions: Sequence[PointMotion] = (),
         points: Floats = NO_POINTS,
     ) -> KeyframeObservations:
         """Add a keyframe near `pose`; the graph is updated after SOLVE_DISTANCE or SOLVE_TURN.
 
         motion        from an earlier keyframe; None for the first
         association   of its segments and corners with rows of `local_map`; unmatched features become landmarks
-        point_motion  from an earlier keyframe, by points on no known wall; None if there is no such keyframe
+        point_motions  from earlier keyframes, by points on no known wall
         points        (p, 2) of its scan, in its frame: walls that it sees through are removed
         """
         keyframe = self.keyframe_count
@@ -147,7 +147,7 @@ class Mapper(MappedKeyframes):
         )
         begins_part = keyframe > 0 and keyframe == self.landmarks.parts.firsts[-1]
         self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids, apart=begins_part)
-        if point_motion is not None:
+        for point_motion in point_motions:
             self.graph.add_point_map(point_motion.start, point_motion.start_covariance)
             self.graph.add_scan_match(point_motion.start, keyframe, point_motion.relative, point_motion.covariance)
         observations = KeyframeObservations(

@@ -196,3 +196,15 @@ def test_restored_field_continues_as_the_saved_one() -> None:
     np.testing.assert_array_equal(offsets_of(restored.field), offsets_of(field.field))
     assert restored.state.links == ((2, 28),)
     assert list(restored.inserted) == list(field.inserted)
+
+
+def test_references_are_the_oldest_and_the_latest_keyframe_nearby() -> None:
+    poses, field = straight_drive(30), LocalField()
+    drive(field, poses)
+    (oldest, at_oldest), (latest, at_latest) = field.references(poses[-1])
+    assert latest == 29
+    assert STEP * (latest - oldest) == REFERENCE_DISTANCE - STEP
+    np.testing.assert_array_equal([at_oldest, at_latest], poses[[oldest, latest]])
+    ((alone, _),) = field.references(poses[-1] + [REFERENCE_DISTANCE - 0.5 * STEP, 0.0, 0.0])
+    assert alone == latest
+    assert not field.references(poses[-1] + [REFERENCE_DISTANCE, 0.0, 0.0])

@@ -1,0 +1,65 @@
+"""A scan's pose is measured relative to a keyframe by the surfaces that this one has seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.geometry.segments import Floats
+from slam.matching.point_matcher import point_information
+from slam.matching.shared_points import split_information
+
+LEFT, RIGHT, BACK = (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0)
+"""Normals of the walls to the left and right of a robot in a corridor along x, and of surfaces ahead of it."""
+
+
+def surface(start: tuple[float, float], end: tuple[float, float], normal: tuple[float, float]) -> Floats:
+    """Return points (p, 4) every 5 cm along a surface."""
+    count = int(np.hypot(*np.subtract(end, start)) / 0.05) + 1
+    return np.column_stack([np.linspace(start, end, count), np.tile(normal, (count, 1))])
+
+
+def corridor(reach: float, *doors: float) -> Floats:
+    """Return the walls within `reach` metres, and the jambs of doors some metres ahead."""
+    walls = [surface((-reach, y), (reach, y), normal) for y, normal in ((1.0, LEFT), (-1.0, RIGHT))]
+    jambs = [surface((x, 1.0), (x, 1.15), BACK) for x in doors if abs(x) < reach]
+    return np.concatenate(walls + jambs)
+
+
+def seen_from(x: float, reach: float, *doors: float) -> Floats:
+    return corridor(reach, *(door - x for door in doors))
+
+
+def shares(reference: Floats, scan: Floats, x: float) -> Floats:
+    """Return the shares (3,) of the information along, across and of the heading that a reference has seen."""
+    information = point_information(scan)
+    shared, rest = split_information(information, reference, scan, np.array([x, 0.0, 0.0]))
+    np.testing.assert_allclose(shared + rest, information, rtol=1e-9, atol=1e-6 * np.trace(information))
+    assert min(np.linalg.eigvalsh(shared)[0], np.linalg.eigvalsh(rest)[0]) > -1e-6 * np.trace(information)
+    return np.diag(shared) / np.diag(information)
+
+
+def test_all_information_in_a_room_is_from_surfaces_that_both_have_seen() -> None:
+    room = np.concatenate([corridor(3.0), surface((3.0, -1.0), (3.0, 1.0), BACK)])
+    assert (shares(room, room - [0.5, 0.0, 0.0, 0.0], 0.5) > 0.999).all()
+
+
+def test_the_place_along_a_corridor_is_measured_by_those_that_have_seen_its_doors() -> None:
+    doors = 2.0, 8.0
+    scan = seen_from(4.0, 6.0, *doors[1:])  # the first one is behind its jambs
+    along, across, _ = shares(seen_from(0.0, 6.0, *doors), scan, 4.0)
+    assert along < 1e-3
+    assert across > 0.6
+    along, across, _ = shares(seen_from(3.0, 6.0, *doors), scan, 1.0)
+    assert min(along, across) > 0.9
+
+
+def test_the_other_side_of_a_wall_is_another_surface() -> None:
+    scan, reference = surface((2.0, -1.0), (2.0, 1.0), BACK), surface((2.1, -1.0), (2.1, 1.0), (1.0, 0.0))
+    scan, reference = (np.concatenate([corridor(3.0), wall]) for wall in (scan, reference))
+    assert shares(reference, scan, 0.0)[0] < 1e-3
+
+
+def test_a_scan_without_points_has_no_information() -> None:
+    shared, rest = split_information(np.zeros((3, 3)), corridor(3.0), np.zeros((0, 4)), np.zeros(3))
+    assert not shared.any()
+    assert not rest.any()
