@@ -13,6 +13,5 @@ def update_by_plan(state: SlamState, observations: KeyframeObservations) -> bool
     state.loops.clear()
     state.joins.clear()
     state.mapper.free_space_evidence.clear()
-    state.local_map = state.mapper.local_map(observations)
-    state.move_to_last_keyframe()
+    state.move_to_last_keyframe(observations)
     return True

@@ -15,23 +15,19 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.degeneracy import weakest_direction
-from ..geometry.pose_covariance import covariance_after
-from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
 from ..mapping.data_association import associate
-from ..mapping.keyframes import KeyframeMotion, KeyframeObservations, PointMotion, WallMerge
+from ..mapping.keyframes import KeyframeObservations, WallMerge
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
 from ..matching.bias_correction import correct_range_bias
-from ..matching.point_matcher import INDEPENDENT_SHARE, POINT_SPACING, point_information
-from ..matching.scan_points import surface_points
-from ..matching.shared_points import split_information
 from ..preprocessing.preprocessor import ProcessedScan
-from .keyframe_selection import is_due, learn_between_keyframes, learn_motion
-from .loop_update import MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA, link_revisited, search_loop
+from .keyframe_links import link_revisited, undetermined_share
+from .keyframe_motions import motion_since, point_motions_of
+from .keyframe_selection import is_due, learn_between_keyframes
+from .loop_update import search_loop
 from .slam_state import RELOCALISED_RADIUS, SlamState
 from .stage_timer import StageTimer
 from .tracking_checkpoint import Anchor
@@ -53,8 +49,6 @@ VISIT_GAP = 10.0
 # Seconds between the two looks of a robot that only stands. Origin: chosen, people have moved on meanwhile; not
 # measured.
 SECOND_LOOK_TIME = 2.0
-# Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
-UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
 # Metres from the last tracked pose above which the local map is taken from around the predicted pose instead.
 # Origin: chosen, half of LOCAL_MAP_MARGIN; not measured.
 MAX_UNTRACKED_DISTANCE = 1.0
@@ -140,7 +134,7 @@ def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
     predicted = state.predict(scan.odometry)
     far = np.hypot(*(predicted - state.pose)[:2]) > MAX_UNTRACKED_DISTANCE
     if state.anchor is not None and not state.kidnapped and not state.at_part_begin and far:
-        state.local_map = state.mapper.local_map_at(predicted, RELOCALISED_RADIUS)
+        state.local_map = state.local_map_at(predicted, RELOCALISED_RADIUS)
 
 
 def _stands_at_first_keyframe(state: SlamState, stamp: float) -> bool:
@@ -176,9 +170,9 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     state.kidnapped = state.kidnapped and not state.frozen
     if not state.frozen:
         state.mapper.remove_walls_seen_through(state.pose, scan.features.points.xy)
-    state.local_map = state.mapper.local_map_at(state.pose, LOCAL_MAP_MARGIN + scan.features.segments.reach())
-    state.tracker.correct(state.pose)
     state.update_local_field()
+    state.local_map = state.local_map_at(state.pose, LOCAL_MAP_MARGIN + scan.features.segments.reach())
+    state.tracker.correct(state.pose)
 
 
 def _extend_trajectory_by_tentative(state: SlamState, stamp: float, tracking: TrackingResult) -> None:
@@ -222,8 +216,8 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     )
     timer.lap("association")
     begins_part = state.at_part_begin
-    motion = None if state.anchor is None else _motion_since(state, state.anchor, scan.odometry, tracking)
-    point_motions = _point_motions(state, scan, tracking)
+    motion = None if state.anchor is None else motion_since(state, state.anchor, scan.odometry, tracking)
+    point_motions = point_motions_of(state, scan, tracking)
     observations = mapper.add_keyframe(
         state.pose,
         motion,
@@ -237,82 +231,12 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     state.keyframe_stamps.append(scan.stamp)
     state.keyframe_driven.append(state.driven)
     timer.lap("graph")
-    state.local_map, merge = mapper.refresh(observations)
+    state.local_map, merge = mapper.refresh(observations, state.linked_keyframes)
     state.set_anchor(Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry))
-    state.local_field.add(scan.features, 1.0 if begins_part else _undetermined_share(tracking))
-    if mapper.is_solved:
-        link_revisited(state)
-    state.move_to_last_keyframe()
+    state.local_field.add(scan.features, 1.0 if begins_part else undetermined_share(tracking))
+    linked = mapper.is_solved and link_revisited(state, scan)
+    state.move_to_last_keyframe(observations if linked else None)
     timer.lap("local map")
     decision = search_loop(state) if mapper.is_solved else None
     timer.lap("loops")
     return KeyframeUpdate(observations, merge, decision)
-
-
-def _undetermined_share(tracking: TrackingResult) -> float:
-    """Return what a scan and odometry leave unknown of the motion since the last keyframe, 1 for what a link may not.
-
-    Zero if the scan determines heading and position; the position along a corridor does not count, as the surfaces
-    there say nothing about it in later scans either.
-    """
-    unknown = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
-    by_scan = inverse(tracking.registration.total_information + unknown)
-    across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
-    turn, share = float(by_scan[2, 2]), 0.0
-    if across > MAX_LINK_SIGMA**2:
-        share += float(np.linalg.eigvalsh(tracking.registered_covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
-    if turn > MAX_LINK_TURN_SIGMA**2:
-        share += float(tracking.registered_covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
-    return share
-
-
-def _point_motions(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> list[PointMotion]:
-    """Return the pose of a scan relative to old keyframes nearby, by its points that are on no known wall.
-
-    It is measured relative to the oldest one by the surfaces that this one has seen, and relative to the latest one by
-    all others. Relative to the oldest one they would count the errors of all keyframes since as measured.
-    """
-    field, registration = state.local_field, tracking.registration
-    references, parts = field.references(state.pose), [registration.point_information]
-    if len(references) > 1:
-        oldest, pose = references[0]
-        points = surface_points(scan.features.points.xy, scan.features.segments, POINT_SPACING)
-        relative = se2.between(pose, registration.point_pose)
-        parts = list(split_information(parts[0], field.points(oldest), points, relative))
-    # The sweeps of the earlier scans are taken to be like this one.
-    limited = partial(state.odometry_model.limit_information, travel=scan.travel)
-    return [
-        PointMotion(
-            keyframe,
-            se2.between(pose, registration.point_pose),
-            _covariance_of(limited(INDEPENDENT_SHARE * of_scan)),
-            _covariance_of(limited(INDEPENDENT_SHARE * point_information(field.points(keyframe)))),
-        )
-        for (keyframe, pose), of_scan in zip(references, parts, strict=False)
-    ]
-
-
-def _covariance_of(information: Floats) -> Floats:
-    """Return the covariance (3, 3) of a motion with some information, if nothing else has measured it."""
-    return np.asarray(inverse(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)))
-
-
-def _motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking: TrackingResult) -> KeyframeMotion:
-    """Return odometry's motion since the anchor with its covariance, and update the odometry model."""
-    model, registration = state.odometry_model, tracking.registration
-    measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
-    covariance, correlated_drift = np.diag(UNMEASURED_MOTION_SIGMAS**2), np.zeros((2, 2))
-    if state.kidnapped:
-        state.kidnapped_keyframes.append(state.mapper.keyframe_count)
-        motion = registered
-    else:
-        learn_motion(state, odometry, tracking)
-        motion = model.correct(measured)
-        covariance = model.covariance(motion)
-        if state.slipped:  # by as much as registration says
-            error = se2.between(motion, registered)
-            covariance = covariance + np.diag(error**2)
-        correlated_drift = model.correlated_drift(motion, registration.total_information)
-    state.kidnapped = state.slipped = False
-    covariance = covariance + covariance_after(anchor.covariance, motion)
-    return KeyframeMotion(anchor.keyframe, se2.compose(anchor.relative, motion), covariance, correlated_drift)

@@ -16,7 +16,7 @@ import numpy as np
 from drivers import se2
 
 from ..config import Config
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import LocalField, LocalFieldState
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import Tracker
@@ -24,7 +24,8 @@ from ..localisation.tracking import PoseFix, TrackingResult
 from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..mapping.convergence import converge
-from ..mapping.local_map import LOCAL_MAP_MARGIN, empty_local_map
+from ..mapping.keyframes import KeyframeObservations
+from ..mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, empty_local_map
 from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..matching.bias_correction import correct_range_bias
@@ -196,7 +197,16 @@ class SlamState:
         """Set the base's pose in the map at `odometry`, regardless of the pose tracked so far."""
         self.tracker.move_to(pose, odometry)
         self.pose, self.kidnapped, self.untracked_scans, self.tentative = pose, True, [], []
-        self.local_map = self.mapper.local_map_at(pose, RELOCALISED_RADIUS)
+        self.local_map = self.local_map_at(pose, RELOCALISED_RADIUS)
+
+    def local_map_at(self, pose: se2.Pose, reach: float) -> LocalMap:
+        """Return the map within `reach` metres of a pose that scans are compared with."""
+        return self.mapper.local_map_at(pose, reach, self.linked_keyframes)
+
+    @property
+    def linked_keyframes(self) -> Integers | None:
+        """Keyframes in the distance field, whose pose relative to the robot is well known; None for all of the map."""
+        return None if self.frozen else self.local_field.inserted
 
     def place(self, pose: se2.Pose, scan: ProcessedScan) -> bool:
         """Set the base's pose in the map, roughly known, and improve it by matching a scan.
@@ -206,9 +216,9 @@ class SlamState:
         keyframe, relative = _relative_to_nearest(self.mapper.keyframe_poses, pose)
         covariance = np.diag(INITIAL_POSE_SIGMAS**2)
         self.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
-        self.move_to(pose, scan.odometry)
         self.local_field.begin_part()
         self.update_local_field()
+        self.move_to(pose, scan.odometry)
         target = MatchTarget(self.local_map, self.local_field.field, self.mapper.roughness.variance)
         features = correct_range_bias(scan.features, self.mapper.graph.range_bias.metres)
         match = target.match(features, [Prediction(pose, np.linalg.inv(covariance))], exhaustive=True)
@@ -265,17 +275,22 @@ class SlamState:
         """True if the next keyframe is the first one of a part of the map."""
         return bool(0 < self.mapper.landmarks.parts.firsts[-1] == self.mapper.keyframe_count)
 
-    def move_to_last_keyframe(self) -> None:
-        """Set pose, distance field and tracker to the solved pose of the last keyframe."""
+    def move_to_last_keyframe(self, observations: KeyframeObservations | None = None) -> None:
+        """Set pose, distance field and tracker to the solved pose of the last keyframe.
+
+        With its `observations`, also the local map: what is linked with it has changed.
+        """
         self.pose = self.mapper.pose
         self.update_local_field()
+        if observations is not None:
+            self.local_map = self.mapper.local_map(observations, self.linked_keyframes)
         self.tracker.correct(self.pose)
 
     def freeze(self) -> None:
         """Settle the map and keep it unchanged from now on."""
         converge(self.mapper)
         self.frozen = True
-        self.local_map = self.mapper.local_map_at(self.pose, RELOCALISED_RADIUS)
+        self.local_map = self.local_map_at(self.pose, RELOCALISED_RADIUS)
 
     def replace_map(
         self, mapper: Mapper, trajectory: TrajectoryBuilder, fix: PoseFix, scans: Mapping[int, ProcessedScan]
@@ -306,7 +321,7 @@ class SlamState:
             self.local_field.restore(replace(field, inserted=(), inserted_poses=np.zeros((0, 3)), successor=None))
         self.update_local_field()
         reach = scans[count - 1].features.segments.reach()
-        self.local_map = self.mapper.local_map_at(self.pose, LOCAL_MAP_MARGIN + reach)
+        self.local_map = self.local_map_at(self.pose, LOCAL_MAP_MARGIN + reach)
 
 
 def _relative_to_nearest(poses: Floats, pose: se2.Pose) -> tuple[int, se2.Pose]:

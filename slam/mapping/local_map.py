@@ -89,12 +89,19 @@ def _local_map(landmarks: Landmarks, near_walls: Integers, near_corners: Integer
     )
 
 
-def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: Floats) -> LocalMap:
+def local_map_around(
+    landmarks: Landmarks, pose: se2.Pose, radius: float, pose_covariances: Floats, linked: Integers | None = None
+) -> LocalMap:
     """Return the landmarks within `radius` metres of a pose whose place relative to the last keyframe is well known.
 
     Others may be recognised by closing a loop only. A landmark's covariance is the sum of that at its last observation
     and of the drift of the robot's pose since then. `pose_covariances` (k, 3, 3) are those of all keyframes, in the
     map's axes.
+
+    With `linked`, keyframes that are linked with the last one, landmarks that neither these nor the last one have seen
+    are left out; of walls, the first and the last observation are known, and any keyframe between them counts. Single
+    landmarks of an earlier pass do not show that the robot is there again, even within the uncertainty. All points of
+    a scan do, which have to fit there before keyframes are linked.
 
     The error of a later pose is that of an earlier one plus what was added in between, so the covariance of their
     difference, the drift, is about the difference of their covariances. Negative eigenvalues, after a loop closure, are
@@ -102,6 +109,11 @@ def local_map_around(landmarks: Landmarks, pose: se2.Pose, radius: float, pose_c
     """
     near_walls, near_corners = landmarks.walls_near(pose, radius), landmarks.corners_near(pose, radius)
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
+    if linked is not None:
+        seen_by = np.sort(np.append(linked, len(pose_covariances) - 1))
+        first, last = (walls[name][near_walls] for name in ("first_seen", "last_seen"))
+        near_walls = near_walls[np.searchsorted(seen_by, first) < np.searchsorted(seen_by, last, side="right")]
+        near_corners = near_corners[np.isin(corners["last_seen"][near_corners], seen_by)]
     last_seen = np.concatenate([walls["last_seen"][near_walls], corners["last_seen"][near_corners]])
     drifts = _drifts_since(last_seen, np.argsort(last_seen), pose_covariances)
     of_walls, of_corners = drifts[: len(near_walls)], drifts[len(near_walls) :, :2, :2]

@@ -148,8 +148,7 @@ class Mapper(MappedKeyframes):
         begins_part = keyframe > 0 and keyframe == self.landmarks.parts.firsts[-1]
         self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids, apart=begins_part)
         for point_motion in point_motions:
-            self.graph.add_point_map(point_motion.start, point_motion.start_covariance)
-            self.graph.add_scan_match(point_motion.start, keyframe, point_motion.relative, point_motion.covariance)
+            self.add_point_motion(point_motion)
         observations = KeyframeObservations(
             segments,
             corners,
@@ -193,26 +192,34 @@ class Mapper(MappedKeyframes):
         self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
         self._unconfirmed.move_confirmed(self.graph, self.landmarks, landmark_ids, keyframe, pose)
 
+    def add_point_motion(self, motion: PointMotion) -> None:
+        """Add a motion from an earlier keyframe to the last one. Takes effect with the graph's next update."""
+        self.graph.add_point_map(motion.start, motion.start_covariance)
+        self.graph.add_scan_match(motion.start, self.keyframe_count - 1, motion.relative, motion.covariance)
+
     @property
     def is_solved(self) -> bool:
         """True if the graph has been solved with all keyframes."""
         return not len(self._waiting) or not self.graph.is_waiting(self.keyframe_count - 1)
 
-    def refresh(self, observations: KeyframeObservations) -> tuple[LocalMap, WallMerge | None]:
+    def refresh(
+        self, observations: KeyframeObservations, linked: Integers | None = None
+    ) -> tuple[LocalMap, WallMerge | None]:
         """Return the local map of the last keyframe, and the walls merged, if any.
 
-        If the graph was solved, the estimate is read back first. `observations` are those of the last keyframe.
+        If the graph was solved, the estimate is read back first. `observations` are those of the last keyframe; for
+        `linked` see `local_map_around`.
         """
         if not self.is_solved:
-            return self.local_map(observations), None
+            return self.local_map(observations, linked), None
         observed_walls, _ = observed_landmarks(self._waiting.landmark_ids)
         points = self._waiting.read_back(self)
-        local_map = self.local_map(observations)
+        local_map = self.local_map(observations, linked)
         merge = find_observed_duplicate(self.landmarks, local_map, observed_walls, self.roughness.variance)
         if merge is not None:
             self.merge_walls(merge.kept, merge.absorbed)
         if self._remove_walls_seen_through_since(points) or merge is not None:
-            local_map = self.local_map(observations)
+            local_map = self.local_map(observations, linked)
         return local_map, merge
 
     def solve_waiting(self) -> None:
@@ -228,13 +235,16 @@ class Mapper(MappedKeyframes):
             removed |= self.remove_walls_seen_through(pose, of_scan)
         return removed
 
-    def local_map(self, observations: KeyframeObservations) -> LocalMap:
+    def local_map(self, observations: KeyframeObservations, linked: Integers | None = None) -> LocalMap:
         """Return the map around the last keyframe, LOCAL_MAP_MARGIN beyond its own observations."""
-        return self.local_map_at(self.pose, LOCAL_MAP_MARGIN + observations.segments.reach())
+        return self.local_map_at(self.pose, LOCAL_MAP_MARGIN + observations.segments.reach(), linked)
 
-    def local_map_at(self, pose: se2.Pose, reach: float) -> LocalMap:
-        """Return the map within `reach` metres of a pose, with covariances relative to the last keyframe."""
-        return local_map_around(self.landmarks, pose, reach, self.pose_covariances)
+    def local_map_at(self, pose: se2.Pose, reach: float, linked: Integers | None = None) -> LocalMap:
+        """Return the map within `reach` metres of a pose, with covariances relative to the last keyframe.
+
+        For `linked` see `local_map_around`.
+        """
+        return local_map_around(self.landmarks, pose, reach, self.pose_covariances, linked)
 
     # --- parts of the map
 

@@ -15,7 +15,7 @@ from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...odometry.error_model import OdometryModel
 from ...preprocessing.preprocessor import ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
-from ..scan_update import UNMEASURED_MOTION_SIGMAS
+from ..keyframe_motions import UNMEASURED_MOTION_SIGMAS
 
 # Metres, metres, radians: standard deviations of a motion for which odometry was found to be wrong.
 # Origin: chosen; not measured.

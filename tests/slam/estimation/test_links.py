@@ -1,4 +1,4 @@
-"""Links of keyframes of one place: only where the scan fits the old points at its pose in the map."""
+"""Links of keyframes of one place: only where the scan fits the old points, and with what is left of their distance."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from slam.estimation.loop_update import link_revisited
+from slam.estimation.keyframe_links import link_revisited
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField, LocalFieldState
+from slam.mapping.keyframes import PointMotion
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
@@ -29,8 +30,11 @@ def room(pose: se2.Pose) -> ScanFeatures:
     return ScanFeatures(NOTHING, NO_CORNERS, ScanPoints(points))
 
 
-def linked(error: Floats) -> bool:
-    """Return True if the last keyframe of a second pass is linked, whose poses in the map are wrong by `error`."""
+def link(error: Floats) -> tuple[bool, list[PointMotion]]:
+    """Return if the last keyframe of a second pass is linked, whose poses in the map are wrong by `error`, and matches.
+
+    The matches are those that enter the graph.
+    """
     one_pass = np.column_stack([np.linspace(1.0, 3.0, PASS), np.full(PASS, 2.0), np.zeros(PASS)])
     true = np.concatenate([one_pass, one_pass])
     poses = true + np.repeat([np.zeros(3), error], PASS, axis=0)
@@ -38,6 +42,7 @@ def linked(error: Floats) -> bool:
     for pose in true:
         field.add(room(pose))
     field.restore(LocalFieldState(poses[-1, :2], (), {}, range(PASS, 2 * PASS), poses[PASS:]))  # of the second pass
+    motions: list[PointMotion] = []
     covariances = SimpleNamespace(relative_bound=lambda *_, **__: 1e-4 * np.eye(3))
     parts = SimpleNamespace(connected=lambda keyframes: np.ones(len(keyframes), dtype=bool))
     mapper: Any = SimpleNamespace(
@@ -46,20 +51,33 @@ def linked(error: Floats) -> bool:
         travelled=travelled.tolist(),
         covariances=covariances,
         landmarks=SimpleNamespace(parts=parts),
+        add_point_motion=motions.append,
+        graph=SimpleNamespace(update_until_converged=lambda: None),
+        read_back_all=lambda: None,
     )
-    state: Any = SimpleNamespace(mapper=mapper, local_field=field)
-    link_revisited(state)
-    return bool(field.state.links)
+    model = SimpleNamespace(limit_information=lambda information, travel: information)
+    state: Any = SimpleNamespace(mapper=mapper, local_field=field, odometry_model=model)
+    scan: Any = SimpleNamespace(travel=np.zeros(3))
+    is_linked = link_revisited(state, scan)
+    assert is_linked == bool(field.state.links)
+    return is_linked, motions
 
 
 def test_a_new_keyframe_is_linked_with_an_old_one_of_the_same_place() -> None:
-    assert linked(np.zeros(3))
+    assert link(np.zeros(3))[0]
 
 
 @pytest.mark.parametrize("error", [[0.3, 0.0, 0.0], [0.0, -0.25, 0.0], [0.2, 0.2, 0.02]])
 def test_a_keyframe_that_fits_the_old_points_elsewhere_is_not_linked(error: list[float]) -> None:
-    assert not linked(np.array(error))
+    is_linked, motions = link(np.array(error))
+    assert not is_linked
+    assert not motions
 
 
-def test_a_small_error_is_left_to_tracking() -> None:
-    assert linked(np.array([0.02, -0.02, 0.01]))
+def test_the_error_that_is_left_at_a_link_enters_the_graph() -> None:
+    is_linked, (motion,) = link(np.array([0.02, -0.02, 0.01]))
+    assert is_linked
+    assert motion.start < PASS
+    true = np.array([2.0 * (PASS - 1 - motion.start) / (PASS - 1), 0.0, 0.0])
+    np.testing.assert_allclose(motion.relative, true, atol=2e-3)
+    assert (np.sqrt(np.diag(motion.covariance)) < [0.01, 0.01, 0.003]).all()

@@ -127,6 +127,19 @@ def test_landmarks_whose_place_is_not_known_are_left_out_of_the_local_map() -> N
         np.testing.assert_array_equal(local_map_around(landmarks, np.zeros(3), 9.0, np.array(grown)).walls, [1])
 
 
+def test_landmarks_that_only_keyframes_without_a_link_have_seen_are_left_out_of_the_local_map() -> None:
+    landmarks, frame = Landmarks(), np.array([0.0, -3.0, 0.0])
+    for keyframe in (0, 2, 9):
+        landmarks.add_wall(frame, 1.0, keyframe)
+        landmarks.add_corner(np.array([keyframe, 1.0]), np.zeros(2), np.array([-1, -1]), keyframe)
+    landmarks.observe_wall(0, frame, 1.0, 5)  # of keyframes 0 to 5
+    certain = np.zeros((10, 3, 3))
+    for linked, walls, corners in (([7], [2], [2]), ([2, 4], [0, 1, 2], [1, 2]), ([], [2], [2])):
+        local_map = local_map_around(landmarks, np.zeros(3), 20.0, certain, np.array(linked, dtype=np.int64))
+        np.testing.assert_array_equal(local_map.walls, walls)
+        np.testing.assert_array_equal(local_map.corners, corners)
+
+
 def test_a_door_divides_a_wall_into_pieces() -> None:
     landmarks = Landmarks()
     wall = landmarks.add_wall(np.zeros(3), 1.0, keyframe=0)

@@ -1,0 +1,99 @@
+"""Link keyframes that saw the same place, so that the scans of one are matched with the points of the other.
+
+A new keyframe is linked with an old one if their relative pose is known well enough for that, and if the new scan fits
+the old points where the map has it. What is left between the two poses enters the graph with the link: the scans that
+follow are matched with old and new points together, and would keep half of it as a bend of the path.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse
+from ..localisation.prediction_error import PREDICTION_SIGMAS
+from ..localisation.tracking import TrackingResult
+from ..matching.distance_field import DistanceField
+from ..matching.offset_tiles import MAX_DISTANCE
+from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction, match_points
+from ..preprocessing.preprocessor import ProcessedScan
+from .keyframe_motions import UNMEASURED_MOTION_SIGMAS, point_motion_by
+from .slam_state import SlamState
+
+# Metres and radians: standard deviations of the pose of a new scan relative to an old one up to which it is matched to
+# both. Origin: definition, a third of what Gauss-Newton on the distance field corrects: MAX_DISTANCE, and that at 4 m.
+MAX_LINK_SIGMA = MAX_DISTANCE / 3.0
+MAX_LINK_TURN_SIGMA = MAX_LINK_SIGMA / 4.0  # Origin: as MAX_LINK_SIGMA.
+LINK_SIGMAS = np.array([MAX_LINK_SIGMA, MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA])  # Origin: definition.
+
+
+def link_revisited(state: SlamState, scan: ProcessedScan) -> bool:
+    """Link the last keyframe, made of a scan, with the nearest one that the distance field lacks, if both fit together.
+
+    That is, if Gauss-Newton would find the pose of the new scan among the points of the old one, and does not find
+    another one there. Else the next scans would be pulled from the path to the old points, and odometry would seem to
+    have failed, while it is a loop that has to be closed. Returns True if they were linked; the map has moved then.
+    """
+    mapper, last = state.mapper, state.mapper.keyframe_count - 1
+    connected = mapper.landmarks.parts.connected(np.arange(last + 1))
+    old = state.local_field.nearest_missing(mapper.keyframe_poses, last, connected)
+    if old is None:
+        return False
+    # The bound costs nothing, and is small enough in most places.
+    well_known = _is_well_known(mapper.covariances.relative_bound(old, last, stored=True)) or _is_well_known(
+        mapper.covariances.relative(old, last)
+    )
+    if not well_known:
+        return False
+    match = _match_around(state, old)
+    if match is not None and _is_elsewhere(state, match):
+        return False
+    state.local_field.link(old, last)
+    if match is not None:
+        mapper.add_point_motion(point_motion_by(state, scan, match, old))
+        mapper.graph.update_until_converged()
+        mapper.read_back_all()
+    return True
+
+
+def _match_around(state: SlamState, old: int) -> PointMatch | None:
+    """Return the match of the last keyframe with the points around an old one; None if too few of them show anything.
+
+    Where the points determine nothing the match is the pose in the map, without information.
+    """
+    poses, last = state.mapper.keyframe_poses, state.mapper.keyframe_count - 1
+    around, points = state.local_field.missing_around(old, state.mapper.travelled), state.local_field.points(last)
+    field = DistanceField.empty(poses[last])
+    field.insert_scans(poses[around], state.local_field.points_of(around))
+    possible = Prediction(poses[last], np.diag(LINK_SIGMAS**-2.0))
+    match = match_points(field, points, [possible], exhaustive=True)[0]
+    return None if match.known < MIN_KNOWN_POINTS or match.poor else match
+
+
+def _is_elsewhere(state: SlamState, match: PointMatch) -> bool:
+    """Return True if the last keyframe fits the points around an old one at another pose than that in the map."""
+    expected = Prediction(state.mapper.keyframe_poses[-1], np.diag(PREDICTION_SIGMAS**-2.0))
+    return expected.squared_distance(match.pose) > KERNEL**2
+
+
+def _is_well_known(covariance: Floats) -> bool:
+    """Return True if scans of two keyframes can be matched, given the covariance (3, 3) of their relative pose."""
+    position = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return position < MAX_LINK_SIGMA and bool(np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA)
+
+
+def undetermined_share(tracking: TrackingResult) -> float:
+    """Return what a scan and odometry leave unknown of the motion since the last keyframe, 1 for what a link may not.
+
+    Zero if the scan determines heading and position; the position along a corridor does not count, as the surfaces
+    there say nothing about it in later scans either.
+    """
+    unknown = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
+    by_scan = inverse(tracking.registration.total_information + unknown)
+    across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
+    turn, share = float(by_scan[2, 2]), 0.0
+    if across > MAX_LINK_SIGMA**2:
+        share += float(np.linalg.eigvalsh(tracking.registered_covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
+    if turn > MAX_LINK_TURN_SIGMA**2:
+        share += float(tracking.registered_covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
+    return share

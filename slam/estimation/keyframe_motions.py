@@ -1,0 +1,89 @@
+"""Motions between keyframes that enter the graph: by odometry, and by the points of scans."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from drivers import se2
+
+from ..geometry.pose_covariance import covariance_after
+from ..geometry.segments import Floats
+from ..geometry.small_matrices import inverse
+from ..localisation.tracking import TrackingResult
+from ..mapping.keyframes import KeyframeMotion, PointMotion
+from ..matching.point_matcher import INDEPENDENT_SHARE, POINT_SPACING, PointMatch, point_information
+from ..matching.scan_points import surface_points
+from ..matching.shared_points import split_information
+from ..preprocessing.preprocessor import ProcessedScan
+from .keyframe_selection import learn_motion
+from .slam_state import SlamState
+from .tracking_checkpoint import Anchor
+
+# Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
+UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
+
+
+def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking: TrackingResult) -> KeyframeMotion:
+    """Return odometry's motion since the anchor with its covariance, and update the odometry model."""
+    model, registration = state.odometry_model, tracking.registration
+    measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
+    covariance, correlated_drift = np.diag(UNMEASURED_MOTION_SIGMAS**2), np.zeros((2, 2))
+    if state.kidnapped:
+        state.kidnapped_keyframes.append(state.mapper.keyframe_count)
+        motion = registered
+    else:
+        learn_motion(state, odometry, tracking)
+        motion = model.correct(measured)
+        covariance = model.covariance(motion)
+        if state.slipped:  # by as much as registration says
+            error = se2.between(motion, registered)
+            covariance = covariance + np.diag(error**2)
+        correlated_drift = model.correlated_drift(motion, registration.total_information)
+    state.kidnapped = state.slipped = False
+    covariance = covariance + covariance_after(anchor.covariance, motion)
+    return KeyframeMotion(anchor.keyframe, se2.compose(anchor.relative, motion), covariance, correlated_drift)
+
+
+def point_motions_of(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> list[PointMotion]:
+    """Return the pose of a scan relative to old keyframes nearby, by its points that are on no known wall.
+
+    It is measured relative to the oldest one by the surfaces that this one has seen, and relative to the latest one by
+    all others. Relative to the oldest one they would count the errors of all keyframes since as measured.
+    """
+    field, registration = state.local_field, tracking.registration
+    references, parts = field.references(state.pose), [registration.point_information]
+    if len(references) > 1:
+        oldest, pose = references[0]
+        points = surface_points(scan.features.points.xy, scan.features.segments, POINT_SPACING)
+        relative = se2.between(pose, registration.point_pose)
+        parts = list(split_information(parts[0], field.points(oldest), points, relative))
+    return [
+        _point_motion(state, scan, keyframe, se2.between(pose, registration.point_pose), information)
+        for (keyframe, pose), information in zip(references, parts, strict=False)
+    ]
+
+
+def point_motion_by(state: SlamState, scan: ProcessedScan, match: PointMatch, keyframe: int) -> PointMotion:
+    """Return the pose of the last keyframe, made of a scan, relative to an old one, by a match with points around it."""
+    relative = se2.between(state.mapper.keyframe_poses[keyframe], match.pose)
+    return _point_motion(state, scan, keyframe, relative, match.information)
+
+
+def _point_motion(
+    state: SlamState, scan: ProcessedScan, keyframe: int, relative: se2.Pose, information: Floats
+) -> PointMotion:
+    """Return a motion by points, given their information (3, 3).
+
+    The sweep of the earlier scan is taken to be like that of this one.
+    """
+    limited = partial(state.odometry_model.limit_information, travel=scan.travel)
+    of_start = point_information(state.local_field.points(keyframe))
+    covariance, start_covariance = (_covariance_of(limited(INDEPENDENT_SHARE * one)) for one in (information, of_start))
+    return PointMotion(keyframe, relative, covariance, start_covariance)
+
+
+def _covariance_of(information: Floats) -> Floats:
+    """Return the covariance (3, 3) of a motion with some information, if nothing else has measured it."""
+    return np.asarray(inverse(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)))
