@@ -66,7 +66,7 @@ def point_motions_of(state: SlamState, scan: ProcessedScan, tracking: TrackingRe
 
 
 def point_motion_by(state: SlamState, scan: ProcessedScan, match: PointMatch, keyframe: int) -> PointMotion:
-    """Return the pose of the last keyframe, made of a scan, relative to an old one, by a match with points around it."""
+    """Return the pose of the last keyframe relative to an old one, by the match of its scan with the points there."""
     relative = se2.between(state.mapper.keyframe_poses[keyframe], match.pose)
     return _point_motion(state, scan, keyframe, relative, match.information)
 
