@@ -2,7 +2,8 @@
 
 A scan is matched with the points of all keyframes around it. Its pose relative to one of them is measured by the
 surfaces that this one has seen. Other surfaces were placed by other keyframes, whose errors relative to it the match
-does not show.
+does not show. Surfaces in space that the reference has seen to be free have moved, as people do who walk beside the
+robot. What they seem to show of its motion is left out.
 """
 
 from __future__ import annotations
@@ -17,18 +18,21 @@ from drivers.compiled import compiled, inlined
 from ..geometry.segments import Floats
 from .distance_field import MIN_FACING
 from .offset_tiles import MAX_DISTANCE
-from .point_matcher import point_information
+from .point_costs import COARSE_SIGMA, DEPTH
+from .point_matcher import POINT_SPACING, point_information
 
 # Share of its trace that is added to an information matrix, as differences are rounded. Origin: numerical.
 CONDITIONING = 1e-9
+# Points on surfaces that the reference has seen, on others, and where it has seen free space. Origin: definition.
+SHARED, NEW, MOVED = 0, 1, 2
 
 
 def split_information(
     information: Floats, reference: Floats, points: Floats, relative: se2.Pose
 ) -> tuple[Floats, Floats]:
-    """Split the information of a match (3, 3) into that from surfaces which a reference has seen as well, and the rest.
+    """Return the information of a match (3, 3) from surfaces that a reference has seen as well, and from new ones.
 
-    With the information A of all points of the scan and B of those that are shared, the first part of M is
+    With the information A of all points of the scan and B of some of them, the part of M that is from these is
     M^(1/2) A^(-1/2) B A^(-1/2) M^(1/2), with symmetric roots: M may be from some of the points only.
 
     information  M, of the scan's pose in its own frame
@@ -36,29 +40,55 @@ def split_information(
     points       (q, 4) those of the scan, in its frame
     relative     pose of the scan in the frame of the reference
     """
-    whole, shared = point_information(points), point_information(points[_are_shared(reference, points, relative)])
+    whole, kinds = point_information(points), _compare(reference, points, relative)
     scales, directions = np.linalg.eigh(whole + CONDITIONING * (1.0 + np.trace(whole)) * np.eye(3))
     values, vectors = np.linalg.eigh(information)
     factor = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T @ (directions / np.sqrt(scales)) @ directions.T
-    of_shared = np.asarray(factor @ shared @ factor.T)
-    return of_shared, information - of_shared
+    shared, new = (factor @ point_information(points[kinds == kind]) @ factor.T for kind in (SHARED, NEW))
+    return shared, new
 
 
 @compiled
-def _are_shared(reference, points, relative):  # type: ignore[no-untyped-def]
-    """Return (q,) True for points within MAX_DISTANCE of a point of the reference whose surface faces the same way."""
+def _compare(reference, points, relative):  # type: ignore[no-untyped-def]
+    """Return (q,) SHARED, NEW or MOVED for each point, for the arguments see `split_information`.
+
+    A point is shared if it is on the surface of a point of the reference nearby, and faces the same way. It has moved
+    if a beam of the reference has passed it: to a point that is farther away in the same direction, seen from the
+    reference's base, which is near its lidar.
+    """
     c, s = math.cos(relative[2]), math.sin(relative[2])
-    shared = np.zeros(len(points), np.bool_)
+    kinds = np.empty(len(points), np.int64)
     for k in range(len(points)):
         x, y = relative[0] + c * points[k, 0] - s * points[k, 1], relative[1] + s * points[k, 0] + c * points[k, 1]
         normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
+        kinds[k] = NEW
         for j in range(len(reference)):
-            if math.hypot(reference[j, 0] - x, reference[j, 1] - y) < MAX_DISTANCE and _faces_the_same_way(
-                normal_x, normal_y, reference[j, 2], reference[j, 3]
-            ):
-                shared[k] = True
+            facing = _faces_the_same_way(normal_x, normal_y, reference[j, 2], reference[j, 3])
+            if facing and _is_on_surface(reference[j], x, y):
+                kinds[k] = SHARED
                 break
-    return shared
+            if _passes(reference[j, 0], reference[j, 1], x, y):
+                kinds[k] = MOVED
+    return kinds
+
+
+@inlined
+def _is_on_surface(point, x, y):  # type: ignore[no-untyped-def]
+    """Return True if (x, y) is near a point (4,) and on its surface, up to COARSE_SIGMA; at it if it has no normal."""
+    dx, dy = x - point[0], y - point[1]
+    distance = math.hypot(dx, dy)
+    known = point[2] != 0.0 or point[3] != 0.0
+    return distance < MAX_DISTANCE and (abs(dx * point[2] + dy * point[3]) if known else distance) < COARSE_SIGMA
+
+
+@inlined
+def _passes(end_x, end_y, x, y):  # type: ignore[no-untyped-def]
+    """Return True if a beam from the origin to an end passes a point, by less than half of the distance of points."""
+    length = math.hypot(end_x, end_y)
+    if length <= DEPTH:
+        return False
+    along, across = (x * end_x + y * end_y) / length, (y * end_x - x * end_y) / length
+    return DEPTH < along < length - DEPTH and abs(across) < 0.5 * POINT_SPACING
 
 
 @inlined
