@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import chain, islice
 
 import gtsam
@@ -36,7 +36,7 @@ class RecentVariables:
         """Forget the last factors, as some were removed; they are read from the graph again."""
         self._keys = None
 
-    def groups_with(self, new: Sequence[Factor], factors: Mapping[int, Factor]) -> gtsam.KeyGroupMap:
+    def groups_with(self, new: Sequence[Factor], factors: dict[int, Factor]) -> gtsam.KeyGroupMap:
         """Return the variables of the last factors and new ones, in the form in which GTSAM takes them.
 
         factors  those of the graph before, in the order in which they were added
