@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Sequence
-from itertools import chain, islice
 
 import gtsam
 import numpy as np
@@ -14,8 +12,9 @@ from ..geometry.segments import Floats
 from ..memory import return_freed_memory
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
-from .factors import Factor, keys_of, to_gtsam_graph
+from .factors import Factor, to_gtsam_graph
 from .range_bias import RangeBias
+from .recent_variables import RecentVariables
 
 # Change of a variable beyond which it is relinearised: metres along its axes and radians. Factors are linear in
 # positions but not in headings, so the threshold on the heading is the small one. A wall's frame may slide along it.
@@ -31,10 +30,6 @@ THRESHOLDS = {"x": RELINEARIZE_POSE, "p": RELINEARIZE_POSE, "l": RELINEARIZE_WAL
 # keyframes: with every tenth, online poses differ three times as much from those of solving at each keyframe, for 6 %
 # less time.
 RELINEARIZE_SKIP = 3
-# Number of the last factors whose variables are eliminated late, see `_recent`. Origin: measured, on two recordings
-# with some 50 new factors at each update: of 200, 250, 300, 400 and 600, 200 and 400 take the least time on one, an
-# eighth less than a single group with 200, and 400 on the other.
-RECENT_FACTORS = 400
 
 
 def _isam2(*, qr: bool) -> gtsam.ISAM2:
@@ -66,7 +61,7 @@ class IncrementalSolver:
         self._dismissed: gtsam.Values | None = None  # linearisation point of an iSAM2 that was dismissed
         self.batch: BatchSolution | None = None
         self.factors: dict[int, Factor] = {}
-        self._last_keys: deque[tuple[int, int]] | None = None  # of the last factors; None if not known any more
+        self._recent = RecentVariables()
         self.updates = 0
         self.qr = qr
         self.range_bias = RangeBias()
@@ -77,13 +72,14 @@ class IncrementalSolver:
         other._isam = None if self._isam is None else gtsam.ISAM2(self._isam)
         other._dismissed, other.batch = self._dismissed, self.batch
         other.factors, other.updates, other.range_bias = dict(self.factors), self.updates, self.range_bias
-        other._last_keys = None if self._last_keys is None else self._last_keys.copy()
+        other._recent = self._recent.copy()
         return other
 
     def reset(self) -> None:
         """Remove all factors and variables."""
         self._isam, self._dismissed, self.batch = _isam2(qr=self.qr), None, None
-        self.factors, self._last_keys, self.updates = {}, None, 0
+        self.factors, self.updates = {}, 0
+        self._recent.forget()
 
     @property
     def isam(self) -> gtsam.ISAM2:
@@ -113,7 +109,8 @@ class IncrementalSolver:
         iSAM2 is built from it when it is needed: for additions of keyframes, not for queries.
         """
         self._isam, self._dismissed, self.batch = None, None, solution
-        self.factors, self._last_keys, self.updates = dict(enumerate(factors)), None, 1
+        self.factors, self.updates = dict(enumerate(factors)), 1
+        self._recent.forget()
 
     def arrays(self) -> ArrayGraph:
         """Return all factors as arrays."""
@@ -188,8 +185,8 @@ class IncrementalSolver:
         parameters.removeFactorIndices = list(remove)
         for number in remove:
             del self.factors[number]
-            self._last_keys = None
-        parameters.constrainedKeys = self._recent(new)
+            self._recent.forget()
+        parameters.constrainedKeys = self._recent.groups_with(new, self.factors)
         self.updates += 1
         added = to_gtsam_graph(new, self.range_bias.metres)
         try:
@@ -200,24 +197,6 @@ class IncrementalSolver:
             numbers = list(range(slots - len(new), slots))
         self.factors.update(zip(numbers, new, strict=True))
         return numbers
-
-    def _recent(self, new: Sequence[Factor]) -> gtsam.KeyGroupMap:
-        """Return the variables of the last factors, to be eliminated last, in the form in which GTSAM takes them.
-
-        An update eliminates the variables of the new factors again, and all that were eliminated after these. What was
-        observed in the last metres will be observed again, so that it should come after everything else. The variables
-        of the new factors are the very last: they are those whose joint covariance is read back.
-        """
-        if self._last_keys is None:
-            known = islice(reversed(self.factors.values()), RECENT_FACTORS)
-            self._last_keys = deque(reversed([keys_of(factor) for factor in known]), RECENT_FACTORS)
-        self._last_keys.extend(keys := [keys_of(factor) for factor in new])
-        newest = set(chain.from_iterable(keys))
-        last = 2 if len(newest) > 2 else 1  # there must be fewer groups than variables to be eliminated
-        groups = gtsam.KeyGroupMap()
-        for key in newest.union(chain.from_iterable(self._last_keys)):
-            groups.insert2(key, last if key in newest else 1)
-        return groups
 
     def _update_batch(
         self, batch: BatchSolution, new: Sequence[Factor], values: gtsam.Values, remove: Sequence[int]

@@ -30,23 +30,13 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from .criteria import (
-    MIN_KNOWN,
-    MIN_SUPPORT,
-    SUPPORT_RATIO,
-    confirm,
-    differ,
-    fits,
-    is_determined,
-    prevails,
-    support_checks,
-)
-from .decision import Check, LoopDecision, LoopMatch
+from .criteria import MIN_KNOWN, MIN_SUPPORT, SUPPORT_RATIO, differ, fits, is_determined
+from .decision import LoopDecision, LoopMatch
+from .judgement import Judgement
 from .look import MAX_PLACES, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
-from .submap_search import SUBMAP_LENGTH
 from .votes import Search, Tested, Vote, find_votes, is_recognised
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
@@ -189,7 +179,8 @@ class LoopAgreement:
         if not places:
             return None
         self._vote(look, tested, found, local_field)
-        decision = self._accepted(look, places)
+        unsearched = any(place not in self._searched for place in places)  # one of them may be a rival
+        decision = None if unsearched else self._judgement(look).accepted()
         if decision is None or self._is_excluded(look, decision.correction):
             self._note_rejections(look)
             return None
@@ -289,60 +280,16 @@ class LoopAgreement:
             hypothesis.motion = vote.motion
             hypothesis.support.append(look.loop_match(vote.old, vote.match))
 
-    def _accepted(self, look: Look, places: Sequence[int]) -> LoopDecision | None:
-        """Return a closure that enough looks support, that few contradict and that has no equal rival."""
-        if any(place not in self._searched for place in places):
-            return None  # one of them may be a rival
-        hypotheses = self._all_hypotheses
-        for hypothesis in hypotheses:
-            if not hypothesis.support or hypothesis.support[-1].keyframe != look.last:
-                continue
-            consistent, checks = self._judged(hypothesis, look)
-            rivals = [other for other in hypotheses if other is not hypothesis]
-            if all(check.passed for check in checks) and all(prevails(consistent, rival) for rival in rivals):
-                return self._decide(consistent, rivals, look, checks)
-        return None
-
-    def _judged(self, hypothesis: LoopHypothesis, look: Look) -> tuple[LoopHypothesis, tuple[Check, ...]]:
-        """Return a hypothesis with its checks; if it passes them, with the consistent part of its support only."""
-        corrects = hypothesis is not self._estimate
-        checks = self._checks(hypothesis, look, corrects=corrects)
-        if all(check.passed for check in checks):
-            hypothesis = replace(hypothesis, support=look.consistent(hypothesis.support))
-            checks = self._checks(hypothesis, look, corrects=corrects)
-        return hypothesis, checks
-
-    def _checks(self, hypothesis: LoopHypothesis, look: Look, *, corrects: bool) -> tuple[Check, ...]:
-        """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
-        first = hypothesis.support[0].travelled
-        against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self._returns))
-        return support_checks(hypothesis, look, against, corrects=corrects)
-
-    def _decide(
-        self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], look: Look, checks: tuple[Check, ...]
-    ) -> LoopDecision:
-        """Return the decision to close the loop of a hypothesis."""
-        count, first = len(hypothesis.support), hypothesis.support[0].travelled
-        doubted = min([first, *self._estimate.contradictions])
-        return confirm(
-            look,
-            hypothesis,
-            f"{count} submap matches over {hypothesis.span:.0f} m agree",
-            rival_support=max((rival.support_since(first) for rival in rivals), default=0),
-            contradictions=hypothesis.contradictions_since(first),
-            checks=checks,
-            since=look.first_of_part if self._joins else look.keyframe_at(doubted - SUBMAP_LENGTH),
-            joins=self._joins,
-        )
-
     def _note_rejections(self, look: Look) -> None:
         """Keep, for reports, why the hypotheses that the look supports are not accepted."""
+        judgement = self._judgement(look)
         for hypothesis in self._hypotheses:
             if len(hypothesis.support) < MIN_REPORTED_SUPPORT or hypothesis.support[-1].keyframe != look.last:
                 continue
-            rivals = [other for other in self._all_hypotheses if other is not hypothesis]
-            consistent, checks = self._judged(hypothesis, look)
-            decision = self._decide(consistent, rivals, look, checks)
-            equal = sum(not prevails(consistent, rival) for rival in rivals)
+            decision, equal = judgement.decision(hypothesis)
             was_retracted = self._is_excluded(look, hypothesis.motion)
             hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)
+
+    def _judgement(self, look: Look) -> Judgement:
+        """Return the judgement of all hypotheses after a look."""
+        return Judgement(look, self._estimate, self._all_hypotheses, self._returns, self._joins)

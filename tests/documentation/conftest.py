@@ -23,7 +23,7 @@ from slam.io.tum import Trajectory, read_tum, write_tum
 
 from ..replacements import replaced
 
-DURATION = 12.0
+DURATION = 10.5
 """Duration of simulated drives, seconds; more than a hundred scans."""
 FEW_BEAMS = simulation.LidarModel(beams=160)
 WORLD = """\

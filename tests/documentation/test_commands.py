@@ -21,7 +21,7 @@ from drivers.devices.device_spec import parse_devices
 from slam.cli.app import app
 
 from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions
-from .conftest import FEW_BEAMS, HALL, Reader, fill, simulations_of
+from .conftest import DURATION, FEW_BEAMS, HALL, Reader, fill, simulations_of
 
 PLACEHOLDERS = {"FILE", "FORMAT", "WORLD", "SESSION", "DIR", "RECORDING", "GRAPH"}
 OTHER_PROGRAMS = {
@@ -101,7 +101,7 @@ def assert_exists(words: list[str]) -> None:
 
 @pytest.mark.parametrize("page", WITH_BLOCKS)
 def test_blocks_run_in_order(page: str, reader: Reader) -> None:
-    with simulations_of(12.0):
+    with simulations_of(DURATION):
         for block in blocks():
             if block.page != page or block.needs:
                 continue

@@ -10,7 +10,7 @@ import pytest
 
 from ..slam.robot import Robot
 from .blocks import blocks
-from .conftest import simulations_of, wclm
+from .conftest import DURATION, simulations_of, wclm
 
 SECONDS = "1.5"
 """Duration of each command, seconds."""
@@ -65,7 +65,7 @@ def test_most_commands_with_devices_can_be_run() -> None:
 def test_commands_with_devices_run_on_an_emulated_robot(robot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(robot)
     given = {path.name for path in robot.iterdir()}
-    with simulations_of(12.0):
+    with simulations_of(DURATION):
         for words in device_commands():
             if "--continue" in words:
                 assert wclm("simulate", "office", "before.mcap", "--duration", "3").exit_code == 0

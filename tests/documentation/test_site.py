@@ -14,6 +14,7 @@ from types import ModuleType
 import pytest
 
 from .blocks import PAGES, ROOT
+from .test_named_sections import anchors
 
 PICTURES = ROOT / "docs" / "pictures"
 LINK = re.compile(r"\]\(([^)#]+?)(#[^)]*)?\)")
@@ -78,6 +79,22 @@ class _Page(HTMLParser):
             self.formulas.append(given.get("aria-label") or "")
 
 
+def test_links_between_pages_exist() -> None:
+    links = [
+        (page, *match.groups())
+        for page, path in PAGES.items()
+        for match in LINK.finditer(path.read_text(encoding="utf-8"))
+        if not match[1].startswith(("http", "mailto:"))
+    ]
+    assert len(links) > 100
+    for page, target, section in links:
+        file = (ROOT / page).parent / target
+        assert file.exists(), f"{page}: {target}"
+        if section and file.suffix == ".md":
+            assert section[1:] in anchors(file.relative_to(ROOT).as_posix()), f"{page}: {target}{section}"
+
+
+@pytest.mark.slow  # `make docs` also builds it strictly
 def test_site_builds_and_refers_to_no_other_host(tmp_path: Path) -> None:
     answer = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", tmp_path / "site"],

@@ -24,6 +24,7 @@ from slam.odometry.history import OdometryHistory
 from slam.visualisation.rerun_log import ReviewLog
 
 from ..replacements import replaced
+from .closure_log import with_closure, write
 from .corridor import Corridor
 
 
@@ -176,3 +177,9 @@ def corridor(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Event
                 time.sleep(0.001)
     assert (review.failures, review.thinned, review.lost) == (0, 0, 0), review.first_failure
     return path, events
+
+
+@pytest.fixture(scope="session")
+def closure_log(corridor: tuple[Path, list[Event]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Log of the same lap with a loop closure, to be read only."""
+    return write(tmp_path_factory.mktemp("review") / "closure.rrd", with_closure(corridor[1]))

@@ -116,7 +116,7 @@ def forth_and_back(seconds: float, legs: int) -> Iterator[list[Odometry | Scan]]
 def test_features_in_familiar_places_are_not_kept_wherever_the_last_keyframe_is() -> None:
     """The robot drives one way forth and back until all of it is familiar."""
     slam, keyframes, kept = Slam(), list[int](), list[int]()
-    for messages in forth_and_back(40.0, 16):
+    for messages in forth_and_back(40.0, 10):
         for message in messages:
             slam.add(message)
         keyframes.append(slam.slam_state.mapper.keyframe_count)
@@ -141,7 +141,7 @@ def test_a_robot_on_patrol_makes_hardly_any_more_keyframes() -> None:
 def test_a_robot_that_shuttles_along_a_short_way_makes_no_more_keyframes() -> None:
     """Its visits of a place are separated by few keyframes where these are far apart."""
     slam, keyframes = Slam(), list[int]()
-    for messages in forth_and_back(18.0, 12):  # six metres
+    for messages in forth_and_back(18.0, 10):  # six metres
         for message in messages:
             slam.add(message)
         keyframes.append(slam.slam_state.mapper.keyframe_count)

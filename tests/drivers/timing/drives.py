@@ -13,9 +13,9 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan
 
 
 @cache
-def office_drive(seed: int = 0) -> tuple[Message, ...]:
+def office_drive(seed: int = 0, seconds: float = 20.0) -> tuple[Message, ...]:
     """Return a drive through an office with a lidar that turns counter-clockwise, 5.5 times per second."""
-    spec = f"sim:office?duration=30&lidar=short&seed={seed}"
+    spec = f"sim:office?duration={seconds:g}&lidar=short&seed={seed}"
     return tuple(message for message in drivers.open(spec) if not isinstance(message, GroundTruth))
 
 

@@ -17,7 +17,7 @@ from .drives import office_drive, with_late_scans
 
 @pytest.mark.parametrize(("seed", "seconds"), [(0, 0.0), (0, 0.05), (1, -0.3), (1, 0.5)])
 def test_known_delay_is_found_within_three_standard_deviations(seed: int, seconds: float) -> None:
-    delay = estimate_delay(Turns(with_late_scans(office_drive(seed), seconds)))
+    delay = estimate_delay(Turns(with_late_scans(office_drive(seed, 30.0), seconds)))
     assert delay is not None
     assert abs(delay.seconds - seconds) < 3.0 * delay.sigma
     assert delay.sigma < 0.02

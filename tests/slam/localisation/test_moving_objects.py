@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
 from drivers import se2
 from drivers.simulation import LidarModel, Simulation, load_world
@@ -103,6 +104,7 @@ def test_segments_and_corners_of_removed_points_are_removed() -> None:
     assert np.array_equal(rest.points.xy, scan.points.xy[80:])
 
 
+@pytest.mark.slow
 def test_people_who_walk_with_the_robot_do_not_shorten_a_corridor() -> None:
     """The end of the path is as far away as odometry says, which errs by 1 to 2 % of the distance driven.
 

@@ -14,60 +14,18 @@ import pytest
 from PIL import Image
 
 from slam.events import (
-    ComparedPoints,
-    Correction,
     Event,
-    GraphInspected,
     KeyframeAdded,
-    LoopCheck,
-    LoopDecided,
-    MapUpdated,
 )
-from slam.graph.residuals import ODOMETRY, WALL, Residuals
-from slam.loop_closure.loop_status import LoopStatus
-from slam.visualisation.rerun_log import ReviewLog, colours
+from slam.visualisation.rerun_log import colours
 from slam.visualisation.rerun_log.blueprint import layout
 from slam.visualisation.rerun_log.combined_log import extent_of, write_combined_log
 from slam.visualisation.rerun_log.log_files import find_log
 from slam.visualisation.rerun_log.rrd_reader import chunks_of
 
+from ..closure_log import write
 from ..corridor import Corridor
 from ..viewers import errors, load, pixels_of, viewer
-
-CLOSURE_KEYFRAME = 100  # keyframe
-
-
-def with_closure(events: Sequence[Event]) -> list[Event]:
-    """Return the events with a loop closure inserted at a keyframe, and an inspection of the graph."""
-    extended: list[Event] = []
-    for event in events:
-        extended.append(event)
-        if isinstance(event, MapUpdated) and event.index == CLOSURE_KEYFRAME:
-            extended += [closure(event), inspection(event)]
-    return extended
-
-
-def closure(event: MapUpdated) -> LoopDecided:
-    walls = event.walls.end_points()[:6]
-    drifted = event.keyframes + np.linspace(0, 1, len(event.keyframes))[:, None] * [1.5, 1.0, 0.0]
-    compared = ComparedPoints(walls[:, 0] + 1.0, walls[:, 0], event.walls.end_points()[:, 0])
-    return LoopDecided(
-        index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
-        status=LoopStatus.ACCEPTED, reason="all checks passed", overlap_ratio=0.9, matches=5, runner_up=0.2, sigma=0.01,
-        contradicted=0.0, merged=((0, 40),), shift=1.8,
-        checks=(LoopCheck("support", 5.0, 4.0, True, True),), compared=compared,
-        correction=Correction(drifted, event.keyframes, event.walls, 100.0, 5000.0, 120.0),
-    )  # fmt: skip
-
-
-def inspection(event: MapUpdated) -> GraphInspected:
-    keyframes = np.arange(1, len(event.keyframes))
-    steps = np.column_stack([keyframes - 1, keyframes])
-    seen = np.column_stack([keyframes, event.walls.identity[keyframes % len(event.walls)]])
-    kinds = (ODOMETRY,) * len(steps) + (WALL,) * len(seen)
-    squared = np.linspace(0.0, 60.0, len(kinds))
-    residuals = Residuals(kinds, np.vstack([steps, seen]), squared, np.full(len(kinds), 2), np.ones(len(kinds)))
-    return GraphInspected(event.index, event.stamp, residuals)
 
 
 def viewer_picture() -> ModuleType:
@@ -81,16 +39,6 @@ def viewer_picture() -> ModuleType:
     return module
 
 
-def write(path: Path, events: Sequence[Event]) -> Path:
-    with ReviewLog(path) as review:
-        for event in events:
-            review.handle(event)
-            while review.waiting > 50:
-                time.sleep(0.001)
-    assert review.failures == 0, review.first_failure
-    return path
-
-
 def pictures(path: Path, timeline: str, sequence: int, views: Sequence[str]) -> dict[str, np.ndarray]:
     with viewer() as client:
         load(client, path)
@@ -102,11 +50,8 @@ def pictures(path: Path, timeline: str, sequence: int, views: Sequence[str]) -> 
     return {name: np.array(Image.open(shot).convert("RGB")) for name, shot in shots.items()}
 
 
-def test_the_map_and_a_correction_are_shown_in_their_colours(
-    corridor: tuple[Path, list[Event]], tmp_path: Path
-) -> None:
-    path = write(tmp_path / "review.rrd", with_closure(corridor[1]))
-    shown = pictures(path, "closure", 1, ["Map", "Before / after"])
+def test_the_map_and_a_correction_are_shown_in_their_colours(closure_log: Path) -> None:
+    shown = pictures(closure_log, "closure", 1, ["Map", "Before / after"])
     for colour in (colours.WALL, colours.MATCHED, colours.ESTIMATE, colours.CORNER, colours.CLOSURE):
         assert pixels_of(shown["Map"], colour) > 50, colour
     for colour in (colours.WALL, colours.BEFORE, colours.CLOSURE):
@@ -115,13 +60,10 @@ def test_the_map_and_a_correction_are_shown_in_their_colours(
 
 
 @pytest.mark.parametrize("size", [pytest.param("1920x1080", marks=pytest.mark.slow), "1280x720"])
-def test_the_log_opens_at_the_closure_without_errors_in_a_window(
-    corridor: tuple[Path, list[Event]], tmp_path: Path, size: str
-) -> None:
+def test_the_log_opens_at_the_closure_without_errors_in_a_window(closure_log: Path, tmp_path: Path, size: str) -> None:
     with viewer():
         pass  # skip the test if there is none
-    path = write(tmp_path / "review.rrd", with_closure(corridor[1]))
-    assert viewer_picture().take_picture(path, tmp_path / "viewer.png", size) == []
+    assert viewer_picture().take_picture(closure_log, tmp_path / "viewer.png", size) == []
     picture = np.array(Image.open(tmp_path / "viewer.png").convert("RGB"))
     assert f"{picture.shape[1]}x{picture.shape[0] + viewer_picture().TITLE_BAR}" == size
     left, right = picture[:, : picture.shape[1] * 4 // 11], picture[:, picture.shape[1] * 4 // 11 :]
@@ -130,13 +72,12 @@ def test_the_log_opens_at_the_closure_without_errors_in_a_window(
         assert pixels_of(right, colour) > 100, colour
 
 
-def test_views_of_loop_decisions_are_shown_if_there_are_any(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
-    without, decided = (
-        write(tmp_path / "without.rrd", corridor[1]),
-        write(tmp_path / "with.rrd", with_closure(corridor[1])),
-    )
+def test_views_of_loop_decisions_are_shown_if_there_are_any(
+    corridor: tuple[Path, list[Event]], closure_log: Path, tmp_path: Path
+) -> None:
+    without = corridor[0]
     write_combined_log([find_log(without)], ["one"], tmp_path / "reviewed.rrd")  # with the layout of this version
-    for log, expected in ((without, 0), (tmp_path / "reviewed.rrd", 0), (decided, 1)):
+    for log, expected in ((without, 0), (tmp_path / "reviewed.rrd", 0), (closure_log, 1)):
         with viewer() as client:
             load(client, log)
             names = [view.name for view in client.get_state().views]

@@ -1,0 +1,82 @@
+"""Judgement of the hypotheses of loop closure after a look: which one is accepted, and why the others are not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from .criteria import confirm, prevails, support_checks
+from .decision import Check, LoopDecision
+from .look import Look
+from .loop_hypothesis import LoopHypothesis
+from .submap_search import SUBMAP_LENGTH
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """Judgement of hypotheses by their support, the contradictions and their rivals.
+
+    look        last look
+    estimate    hypothesis that nothing has to be corrected
+    hypotheses  all that are followed, with the estimate unless it is none
+    returns     metres driven up to each look that agrees with the estimate
+    joins       true if the places are in parts of the map that are not connected with the last keyframe
+    """
+
+    look: Look
+    estimate: LoopHypothesis
+    hypotheses: Sequence[LoopHypothesis]
+    returns: Sequence[float]
+    joins: bool
+
+    def accepted(self) -> LoopDecision | None:
+        """Return a closure that enough looks support, that few contradict and that has no equal rival."""
+        for hypothesis in self.hypotheses:
+            if not hypothesis.support or hypothesis.support[-1].keyframe != self.look.last:
+                continue
+            consistent, checks = self._judged(hypothesis)
+            rivals = self._rivals(hypothesis)
+            if all(check.passed for check in checks) and all(prevails(consistent, rival) for rival in rivals):
+                return self._decide(consistent, rivals, checks)
+        return None
+
+    def decision(self, hypothesis: LoopHypothesis) -> tuple[LoopDecision, int]:
+        """Return the decision for a hypothesis, and the number of rivals over which it does not prevail."""
+        rivals = self._rivals(hypothesis)
+        consistent, checks = self._judged(hypothesis)
+        return self._decide(consistent, rivals, checks), sum(not prevails(consistent, rival) for rival in rivals)
+
+    def _rivals(self, hypothesis: LoopHypothesis) -> list[LoopHypothesis]:
+        return [other for other in self.hypotheses if other is not hypothesis]
+
+    def _judged(self, hypothesis: LoopHypothesis) -> tuple[LoopHypothesis, tuple[Check, ...]]:
+        """Return a hypothesis with its checks; if it passes them, with the consistent part of its support only."""
+        corrects = hypothesis is not self.estimate
+        checks = self._checks(hypothesis, corrects=corrects)
+        if all(check.passed for check in checks):
+            hypothesis = replace(hypothesis, support=self.look.consistent(hypothesis.support))
+            checks = self._checks(hypothesis, corrects=corrects)
+        return hypothesis, checks
+
+    def _checks(self, hypothesis: LoopHypothesis, *, corrects: bool) -> tuple[Check, ...]:
+        """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
+        first = hypothesis.support[0].travelled
+        against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returns))
+        return support_checks(hypothesis, self.look, against, corrects=corrects)
+
+    def _decide(
+        self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], checks: tuple[Check, ...]
+    ) -> LoopDecision:
+        """Return the decision to close the loop of a hypothesis."""
+        count, first = len(hypothesis.support), hypothesis.support[0].travelled
+        doubted = min([first, *self.estimate.contradictions])
+        return confirm(
+            self.look,
+            hypothesis,
+            f"{count} submap matches over {hypothesis.span:.0f} m agree",
+            rival_support=max((rival.support_since(first) for rival in rivals), default=0),
+            contradictions=hypothesis.contradictions_since(first),
+            checks=checks,
+            since=self.look.first_of_part if self.joins else self.look.keyframe_at(doubted - SUBMAP_LENGTH),
+            joins=self.joins,
+        )
