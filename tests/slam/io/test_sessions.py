@@ -22,10 +22,11 @@ from features import LearnedNoise
 from slam import Slam
 from slam.config import Config, LidarConfig, config_to_toml
 from slam.errors import MapError, SlamError
+from slam.graph.factors import FactorKind
 from slam.graph.graph_storage import graph_state
 from slam.io.output_dir import CONFIG, SESSION
 from slam.io.sessions import Recording, StoredSession, is_session, read_session, write_session
-from slam.io.sessions.session import FACTORS, HEADER, SCANS, WALLS
+from slam.io.sessions.session import FACTORS, HEADER, KEYFRAMES, SCANS, WALLS
 from slam.io.sessions.tables import TableReader, to_ragged, write_table
 from slam.loop_closure.decision import LoopMatch
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
@@ -315,11 +316,16 @@ CHANGES: list[tuple[str, str, Any, str]] = [
     (FACTORS, "second", 10**6, "has a variable that does not exist"),
     (FACTORS, "covariance", 0.0, "the covariance of a factor is not positive definite"),
     (FACTORS, "kind", "", "unknown kind of factor: ''"),
+    (KEYFRAMES, "xx", -1.0, "the covariance of a pose has a negative variance"),
+    (KEYFRAMES, "xh", 1.0, "the covariance of a pose has a negative variance"),
+    (KEYFRAMES, "correlated_drift_xy", 1.0, "the correlated drift of a keyframe is less than that of the one before"),
+    (WALLS, "map_offset_offset", -1.0, "walls.parquet: the covariance of a landmark has a negative variance"),
+    ("corners.parquet", "xy", 1.0, "corners.parquet: the covariance of a landmark has a negative variance"),
     (WALLS, "first_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
     (WALLS, "merged_into", -(10**6), "a landmark refers to a wall that does not exist"),
     ("corners.parquet", "wall_before", 10**6, "a landmark refers to a wall that does not exist"),
     ("corners.parquet", "last_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
-    ("keyframes.parquet", "travelled", -1.0, "the travelled distance decreases"),
+    (KEYFRAMES, "travelled", -1.0, "the travelled distance decreases"),
     ("variables.parquet", "id", 10**6, "(the keyframes are not in order|does not exist)"),
     (SCANS, "segment_offset_offset", -1.0, "the covariance of a segment is not positive definite"),
     (SCANS, "segment_offset_offset", 1e-300, "the covariance of a segment is not positive definite"),
@@ -367,6 +373,20 @@ def test_a_landmark_of_the_graph_without_a_variable_is_refused(
     confirmed = table.filter(pc.not_equal(table.column("kind"), kind)).replace_schema_metadata(table.schema.metadata)
     pq.write_table(confirmed, file)
     with pytest.raises(MapError, match=rf"the {kind} \d+ is confirmed, but is no variable of the graph"):
+        read_session(path)
+
+
+def test_odometry_that_leads_back_is_refused(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """The drift is followed along odometry to the first keyframe; in a circle that would never end."""
+    path = shutil.copytree(written[1], tmp_path / "out")
+    file = path / SESSION / FACTORS
+    table = pq.read_table(file)
+    factors = table.to_pylist()
+    last = max(k for k, factor in enumerate(factors) if factor["kind"] == FactorKind.ODOMETRY)
+    first, second = factors[last]["first"], factors[last]["second"]
+    factors[last] |= {"first": second, "second": first}
+    pq.write_table(pa.Table.from_pylist(factors, table.schema), file)
+    with pytest.raises(MapError, match=f"factors.parquet: odometry leads from the keyframe {second} back to {first}"):
         read_session(path)
 
 
