@@ -17,6 +17,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from .errors import ConfigurationError, shortened
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+Deviation = Annotated[float, Field(allow_inf_nan=False, le=1000.0)]
+"""Standard deviation of odometry, metres or radians. A larger one is not needed to say that odometry is useless, and
+what is known of the pose would be lost in rounding.
+"""
 
 
 class _Group(BaseModel):
@@ -115,14 +119,14 @@ class OdometryConfig(_Group):
         "corrected by the scans. A recording without odometry sets it",
     )
     gyroscope: bool = Field(True, description="use the turns of a gyroscope, if there is one, instead of the wheels'")
-    translation_error: Finite = Field(0.1, ge=0, description="drift of the position, metres per metre")
-    rotation_walk: Finite = Field(
+    translation_error: Deviation = Field(0.1, ge=0, description="drift of the position, metres per metre")
+    rotation_walk: Deviation = Field(
         0.06,
         ge=0,
         description="drift of the heading after one metre, radians; grows with the square root of the distance",
     )
-    translation_floor: Finite = Field(0.01, gt=0, description="noise of a position reading, metres")
-    rotation_floor: Finite = Field(math.radians(0.3), gt=0, description="noise of a heading reading, radians")
+    translation_floor: Deviation = Field(0.01, gt=0, description="noise of a position reading, metres")
+    rotation_floor: Deviation = Field(math.radians(0.3), gt=0, description="noise of a heading reading, radians")
     learn: bool = Field(
         True, description="estimate the drift from registration while driving, starting from the values above"
     )

@@ -62,13 +62,13 @@ class BagReader(RosReader):
                 if following is None:
                     return
                 topic, msgtype, received, data = following
-                if data is None:  # NULL in a database
+                if not isinstance(data, bytes | bytearray | memoryview):  # NULL or a number in a database
                     if final:
                         self.skip(number, "message has no data")
                     continue
                 yield StoredMessage(number, topic, msgtype, encoding, received, bytes(data))
 
-    def _opened(self, stack: ExitStack, final: bool) -> Iterator[tuple[str, str, int, bytes | None]]:
+    def _opened(self, stack: ExitStack, final: bool) -> Iterator[tuple[str, str, int, object]]:
         """Return topic, type, time of reception and data of the messages, by the bag's index if it has one.
 
         The bag stays open until `stack` is closed. Raises RecordingError if it cannot be opened.

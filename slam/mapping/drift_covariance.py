@@ -15,6 +15,7 @@ has the covariance C - C H' (H C H' + R)^-1 H C.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -52,15 +53,24 @@ class _Conditions:
         return _Conditions(self.old[rows], self.new[rows], self.direction[rows], self.variance[rows])
 
 
+def odometry_tree(factors: Iterable[Factor], keyframes: int) -> Integers:
+    """Return (k,) the keyframe from which odometry leads to each of k keyframes, -1 for the first one.
+
+    Where the map has a part that is not connected, it is the keyframe before.
+    """
+    parents: Integers = np.arange(keyframes) - 1
+    for factor in factors:
+        if factor.kind is FactorKind.ODOMETRY:
+            parents[factor.second] = factor.first
+    return parents
+
+
 class DriftCovariance:
     """Covariance of the correlated drift of a settled map's keyframes, (2, 2) in the map's axes, square metres."""
 
     def __init__(self, mapper: Mapper) -> None:
         self._variances = mapper.correlated_drift
-        self._parent = np.arange(mapper.keyframe_count) - 1
-        for factor in mapper.graph.solver.factors.values():
-            if factor.kind is FactorKind.ODOMETRY:
-                self._parent[factor.second] = factor.first
+        self._parent = odometry_tree(mapper.graph.solver.factors.values(), mapper.keyframe_count)
         branches = self._parent != np.arange(mapper.keyframe_count) - 1
         self._first = np.maximum.accumulate(np.where(branches, np.arange(mapper.keyframe_count), 0))
         conditions = self._chosen(_conditions_of(mapper))

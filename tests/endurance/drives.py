@@ -193,6 +193,9 @@ def busy_pairs(folder: Path, runs: int, source: random.Random) -> Iterator[Findi
             lost = {name: count for name, count in device["counters"].items() if name in LOSSES and count}
             if lost:
                 found.failures.append(f"{device['spec']}: {lost}")
+        for device in ("lidar", "base"):
+            if not_read := json.loads((place / "report.json").read_text())[device]["overrun"]:
+                found.failures.append(f"{device}: {not_read} bytes were lost before the program read them")
         _check_path(found, run, place / "truth.tum", FAULTLESS)
         again = place / "again"
         command = [sys.executable, "-c", PROGRAM, "run", str(run.recording), "--out", str(again), "--no-review"]

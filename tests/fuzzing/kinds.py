@@ -25,6 +25,7 @@ from drivers.transport.byte_capture import read_capture
 from slam import Slam
 from slam.cli.app import app
 from slam.config import load_config
+from slam.estimation.map_view import final_result
 from slam.graph.pose_graph import read_pose_graph
 from slam.io.exports import write_dxf, write_geojson, write_svg
 from slam.io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY
@@ -192,10 +193,12 @@ def read_recording(path: Path) -> None:
 
 
 def continue_session(path: Path) -> None:
-    """Read a session, and do with it what the beginning of a continued run, a localisation and a refinement do."""
+    """Read a session, and do with it what the beginning and the end of a continued run and of a localisation do."""
     session = read_session(path)
     session.scan_history()
     Slam(session.config, resumed=session).snapshot().finished()
+    trajectory = session.slam_state.trajectory.at_scans(session.slam_state.mapper.keyframe_poses)
+    final_result(session.slam_state, trajectory, {})
 
 
 def write_report(path: Path) -> None:

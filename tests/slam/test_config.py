@@ -1,8 +1,11 @@
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from drivers.simulation import Simulation
+from slam import Slam
 from slam.config import Config, config_to_toml, load_config
 from slam.errors import ConfigurationError
 
@@ -32,6 +35,8 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ("lidar.sigma_range=-1", "lidar.sigma_range: input should be greater than 0"),
         ("lidar.sigma_range=nan", "lidar.sigma_range: "),
         ("odometry.translation_floor=inf", "odometry.translation_floor: input should be a finite number"),
+        ("odometry.translation_error=1e9", "odometry.translation_error: input should be less than or equal to 1000"),
+        ("odometry.rotation_floor=1e300", "odometry.rotation_floor: input should be less than or equal to 1000"),
         ("lidar.range_max=0.01", "lidar: range_min (0.05) must be less than range_max (0.01)"),
         ("lidar.mount=[1, 2]", "lidar.mount.2: field required"),
         ("features.estimator=best", "features.estimator: input should be 'wclm-ml'"),
@@ -44,6 +49,14 @@ def test_a_wrong_override_is_named(override: str, message: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         load_config(overrides=[override])
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["translation_error", "rotation_walk", "translation_floor", "rotation_floor"])
+def test_odometry_may_be_as_uncertain_as_settings_allow(name: str) -> None:
+    slam = Slam(load_config(overrides=[f"odometry.{name}=1000"]))
+    for message in Simulation("room", seed=4, duration=3.0):
+        slam.add(message)
+    assert np.isfinite(slam.finish().poses).all()
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...config import Config, config_to_toml
+from ...errors import MapError
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, REVIEW, OutputDirectory
 from ...io.recordings import absolute_recording, open_source
@@ -52,7 +53,6 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
     Raises SlamError; then nothing is left behind.
     """
     with OutputDirectory(out, overwrite) as directory:
-        from ...errors import MapError
         from ...io.run_results import read_run_results
         from ...io.sessions import read_session
         from ...io.sessions.corrections import read_corrections
@@ -63,7 +63,7 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
             raise MapError(f"{path}: has manual corrections, which a refinement would drop; refine before correcting")
         with print_if_slow(READING_SESSION):
             session = read_session(path)
-        summary = _optimise(directory, session, summary, started, review=review, picture=picture)
+        summary = _optimise(directory, str(path), session, summary, started, review=review, picture=picture)
     write_report_page(out)
     return _lines(summary, out, review=review)
 
@@ -91,15 +91,25 @@ def optimize_recording(
         session = slam.session
         session.recordings.append(statistics.recording(run_input))
         started = time.perf_counter()
-        summary = _optimise(directory, session, summary, started, review=review, picture=picture)
+        summary = _optimise(directory, recording, session, summary, started, review=review, picture=picture)
     write_report_page(out)
     return _lines(summary, out, review=review)
 
 
 def _optimise(
-    directory: Path, session: StoredSession, summary: dict[str, Any], started: float, *, review: bool, picture: bool
+    directory: Path,
+    source: str,
+    session: StoredSession,
+    summary: dict[str, Any],
+    started: float,
+    *,
+    review: bool,
+    picture: bool,
 ) -> dict[str, Any]:
-    """Refine a session into a directory; return the summary of the original run with the new figures."""
+    """Refine a session into a directory; return the summary of the original run with the new figures.
+
+    Raises MapError that names `source`, where the session comes from.
+    """
     from ...io.sessions import write_session
     from ...offline.optimisation import optimise
 
@@ -111,7 +121,10 @@ def _optimise(
             settings, name = config_to_toml(session.config), str(summary.get("recording", ""))
             written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), complete=True)
             sinks.append(BlockingSink(log.enter_context(written)))
-        optimised = optimise(session, sinks)
+        try:
+            optimised = optimise(session, sinks)
+        except MapError as error:
+            raise MapError(f"{source}: {error}") from error
     finished = optimised.finished
     if picture:
         from ...visualisation.plots import plot_map

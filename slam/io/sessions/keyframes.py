@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import MapError
 from ...mapping.keyframes import KeyframeRecords
 from .scans import POSE_ENTRIES, UPPER_TRIANGLE, ScanRecords
-from .tables import TableReader, write_table
+from .tables import TableReader, are_semidefinite, write_table
 
 POSE_COLUMNS = ("x", "y", "heading")
 CORRELATED_DRIFT = {"correlated_drift_xx": (0, 0), "correlated_drift_xy": (0, 1), "correlated_drift_yy": (1, 1)}
@@ -37,6 +37,8 @@ def read_keyframes(file: Path, scans: ScanRecords) -> KeyframeRecords:
     covariances = np.zeros((len(table), 3, 3))
     covariances[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = upper
     covariances[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper
+    if not are_semidefinite(covariances):
+        raise MapError(f"{file}: the covariance of a pose has a negative variance")
     travelled = table.floats("travelled").tolist()
     if (np.diff(travelled, prepend=0.0) < 0.0).any():
         raise MapError(f"{file}: the travelled distance decreases")

@@ -6,7 +6,7 @@ ends, such corners a position of NaN.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ from ...geometry.segments import Floats
 from ...mapping.landmark_table import CORNER_DTYPE, WALL_DTYPE
 from ...mapping.landmarks import Landmarks
 from ...mapping.wall_removal import FreeSpaceEvidence
-from .tables import Ragged, TableReader, to_ragged, write_table
+from .tables import Ragged, TableReader, are_semidefinite, to_ragged, write_table
 
 WALL_INTEGERS = ("observations", "first_seen", "last_seen", "merged_into", "removed_at")
 CORNER_INTEGERS = ("observations", "last_seen")
@@ -117,7 +117,7 @@ def _read_walls(table: TableReader, file: Path) -> NDArray[np.void]:
     for name in WALL_INTEGERS:
         rows[name] = table.integers(name)
     for name, prefix in zip(COVARIANCES, ("", MAP_PREFIX), strict=True):
-        rows[name] = _to_symmetric(table.floats(*(f"{prefix}{entry}" for entry in WALL_COVARIANCE)))
+        rows[name] = _read_covariances(table, file, [f"{prefix}{entry}" for entry in WALL_COVARIANCE])
     rows["in_graph"] = table.booleans("in_graph")
     observed = (rows["low"] != np.inf) | (rows["high"] != -np.inf)
     if not (np.maximum(np.abs(rows["low"]), np.abs(rows["high"]))[observed] < MAX_EXTENT).all():
@@ -136,11 +136,14 @@ def _read_corners(file: Path) -> NDArray[np.void]:
     for name in CORNER_INTEGERS:
         rows[name] = table.integers(name)
     for name, prefix in zip(COVARIANCES, ("", MAP_PREFIX), strict=True):
-        rows[name] = _to_symmetric(table.floats(*(f"{prefix}{entry}" for entry in CORNER_COVARIANCE)))
+        rows[name] = _read_covariances(table, file, [f"{prefix}{entry}" for entry in CORNER_COVARIANCE])
     rows["in_graph"] = table.booleans("in_graph")
     return rows
 
 
-def _to_symmetric(upper: Floats) -> Floats:
-    """Return symmetric matrices (n, 2, 2) from their upper triangles (n, 3)."""
-    return upper[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+def _read_covariances(table: TableReader, file: Path, names: Sequence[str]) -> Floats:
+    """Return the symmetric matrices (n, 2, 2) of the columns of their upper triangles. Raises MapError."""
+    covariances = table.floats(*names)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    if not are_semidefinite(covariances):
+        raise MapError(f"{file}: the covariance of a landmark has a negative variance")
+    return np.asarray(covariances)

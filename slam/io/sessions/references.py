@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import MapError
+from ...geometry.segments import Floats
 from ...graph.factors import MATCH_KINDS, Factor, FactorKind, GraphState
+from ...mapping.drift_covariance import odometry_tree
 from ...mapping.landmark_table import NEVER_REMOVED, UNOBSERVED
 from ...mapping.landmarks import Landmarks
+from .tables import ROUNDING
 
 TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, *MATCH_KINDS, FactorKind.PINNED_POSE)
 FROM_WALL = (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL)
@@ -50,7 +53,9 @@ def check_landmarks(file: Path, landmarks: Landmarks, keyframes: int) -> None:
 def check_factors(
     file: Path, graph: GraphState, factors: Sequence[Factor], unconfirmed: Sequence[Factor], landmarks: Landmarks
 ) -> None:
-    """Raise MapError naming `file`, the table of factors, if a factor is between variables that do not exist."""
+    """Raise MapError naming `file`, the table of factors, if a factor is between variables that do not exist, or
+    odometry leads from a keyframe to one before it.
+    """
     keyframes = set(range(len(graph.keyframes)))
     walls, corners, point_maps = (set(ids.tolist()) for ids in (graph.walls, graph.corners, graph.point_maps))
     for factor in factors:
@@ -60,10 +65,21 @@ def check_factors(
         seconds = corners if factor.kind is FactorKind.CORNER else seconds
         if factor.first not in firsts or (seconds is not None and factor.second not in seconds):
             raise _not_found(file, factor)
+        if factor.kind is FactorKind.ODOMETRY and factor.first >= factor.second:
+            raise MapError(f"{file}: odometry leads from the keyframe {factor.first} back to {factor.second}")
     for factor in unconfirmed:
         known = len(landmarks.corners if factor.kind is FactorKind.CORNER else landmarks.walls)
         if factor.first not in keyframes or not 0 <= factor.second < known:
             raise _not_found(file, factor)
+
+
+def check_drift(file: Path, drift: Floats, factors: Sequence[Factor]) -> None:
+    """Raise MapError naming `file`, the table of keyframes, if the correlated drift (k, 2, 2) shrinks on the way."""
+    growth = drift.copy()
+    growth[1:] -= drift[odometry_tree(factors, len(drift))[1:]]
+    rounding = ROUNDING * np.trace(drift, axis1=1, axis2=2)
+    if (np.linalg.eigvalsh(growth)[:, 0] < -rounding).any():
+        raise MapError(f"{file}: the correlated drift of a keyframe is less than that of the one before")
 
 
 def _not_found(file: Path, factor: Factor) -> MapError:

@@ -29,7 +29,7 @@ from .landmarks import read_free_space_evidence, read_landmarks, write_corners, 
 from .loop_decisions import read_loop_decisions, write_loop_decisions
 from .odometry import read_odometry, write_odometry
 from .queued_scans import read_queued_scans, write_queued_scans
-from .references import check_factors, check_landmarks, check_variables
+from .references import check_drift, check_factors, check_landmarks, check_variables
 from .scans import ScanRecords, read_scans, write_recent_keyframes, write_scans
 from .sensor_models import SensorModelsRecord
 
@@ -132,6 +132,7 @@ def _read_slam_state(
     check_landmarks(folder / WALLS, landmarks, len(scans.keyframe_stamps))
     check_variables(folder / VARIABLES, graph, landmarks, len(scans.keyframe_stamps))
     check_factors(folder / FACTORS, graph, factors, unconfirmed, landmarks)
+    check_drift(folder / KEYFRAMES, records.correlated_drift, factors)
     roughness = WallRoughness()
     roughness.add_samples(np.array(header.sensor_models.roughness_samples))
     free_space_evidence = read_free_space_evidence(folder / WALLS)

@@ -33,6 +33,8 @@ MAX_MAGNITUDE = 1e15
 """Largest absolute value of a number; the largest that occur are stamps, 2e9 seconds. Their squares are finite."""
 MIN_DEVIATION = 1e-9
 """Smallest standard deviation, metres or radians: no measurement is as precise."""
+ROUNDING = 1e-9
+"""Relative rounding error of computed covariances, with a large margin: 1e-15 occurs."""
 ALWAYS_ALLOWED = 1 << 26
 """Bytes of a table in memory, whatever the ratio."""
 
@@ -135,6 +137,14 @@ def are_covariances(matrices: Floats) -> bool:
         return False
     correlations = matrices / deviations[:, :, None] / deviations[:, None, :]
     return bool((np.linalg.eigvalsh(correlations) > 0.0).all()) if len(matrices) else True
+
+
+def are_semidefinite(matrices: Floats) -> bool:
+    """Return True if no symmetric matrix (n, d, d) has a negative variance in any direction, except for rounding."""
+    scales = np.sqrt(np.diagonal(matrices, axis1=1, axis2=2).clip(min=0.0))
+    scales[scales == 0.0] = 1.0
+    correlations = matrices / scales[:, :, None] / scales[:, None, :]
+    return bool((np.linalg.eigvalsh(correlations) >= -ROUNDING).all()) if len(matrices) else True
 
 
 class TableReader:

@@ -300,13 +300,14 @@ def test_damaged_messages_raise_only_value_errors(data: st.DataObject, kind: str
         return
 
 
-def test_a_message_without_data_is_skipped(tmp_path: Path, write_bag: WriteBag) -> None:
+@pytest.mark.parametrize("data", [None, 10**15, 1.5, "text"])
+def test_a_message_without_data_is_skipped(tmp_path: Path, write_bag: WriteBag, data: object) -> None:
     bag = write_bag(tmp_path / "sqlite3", [laser_scan(k * 10**9, [1.0, 2.0]) for k in range(3)])
     (file,) = bag.glob("*.db3")
     with closing(sqlite3.connect(file)) as database, database:
         database.execute("ALTER TABLE messages RENAME TO valid")
         database.execute("CREATE TABLE messages AS SELECT * FROM valid")  # without its constraints
-        database.execute("UPDATE messages SET data = NULL WHERE id = 2")
+        database.execute("UPDATE messages SET data = ? WHERE id = 2", (data,))
     source = drivers.open(bag)
     assert len(list(source)) == 2
     assert source.report.reasons == {"message has no data": 1}

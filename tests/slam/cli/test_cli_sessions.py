@@ -143,6 +143,12 @@ def test_optimize_maps_and_refines_a_recording(wclm: Any) -> None:
     wclm.refuses("optimize", "nowhere.txt", "--out", "x", because=["nowhere.txt"])
 
 
+def test_optimize_names_what_it_cannot_refine(wclm: Any) -> None:
+    assert wclm("run", "sim:room?duration=0.5", "--out", "short", "--no-review").exit_code == 0
+    because = ["short: nothing to optimise: the session has fewer than two keyframes"]
+    wclm.refuses("optimize", "short", "--out", "better", because=because)
+
+
 def test_an_output_directory_without_session_is_refused(wclm: Any, session: Path) -> None:
     shutil.rmtree(session / SESSION)  # as in output directories of older versions
     for command in (("optimize", session), ("run", "sim:room", "--continue", session)):

@@ -64,8 +64,8 @@ def test_where_learning_stopped_is_kept_with_a_session(tmp_path: Path) -> None:
     slam = Slam()
     for message in Simulation(load_world("office"), 3, 60.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
         slam.add(message)
-        if slam.slam_state.learned_until is not None:
-            break
+        if message.stamp > 10.0 and slam.slam_state.learned_until is not None:
+            break  # in a room that is known: the scan that waits for odometry does not become a keyframe
     slam.finish()
     expected = slam.slam_state.learned_until
     assert expected is not None

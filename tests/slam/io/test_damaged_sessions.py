@@ -17,9 +17,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from slam.errors import MapError, SlamError
+from slam.graph.factors import FactorKind
 from slam.io.output_dir import SESSION
 from slam.io.sessions import StoredSession, is_session, read_session
-from slam.io.sessions.session import FACTORS, HEADER, SCANS, WALLS
+from slam.io.sessions.session import FACTORS, HEADER, KEYFRAMES, SCANS, WALLS
 from slam.io.sessions.tables import TableReader, to_ragged, write_table
 
 # Match of keyframes in `session.json`.
@@ -136,11 +137,16 @@ CHANGES: list[tuple[str, str, Any, str]] = [
     (FACTORS, "second", 10**6, "has a variable that does not exist"),
     (FACTORS, "covariance", 0.0, "the covariance of a factor is not positive definite"),
     (FACTORS, "kind", "", "unknown kind of factor: ''"),
+    (KEYFRAMES, "xx", -1.0, "the covariance of a pose has a negative variance"),
+    (KEYFRAMES, "xh", 1.0, "the covariance of a pose has a negative variance"),
+    (KEYFRAMES, "correlated_drift_xy", 1.0, "the correlated drift of a keyframe is less than that of the one before"),
+    (WALLS, "map_offset_offset", -1.0, "walls.parquet: the covariance of a landmark has a negative variance"),
+    ("corners.parquet", "xy", 1.0, "corners.parquet: the covariance of a landmark has a negative variance"),
     (WALLS, "first_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
     (WALLS, "merged_into", -(10**6), "a landmark refers to a wall that does not exist"),
     ("corners.parquet", "wall_before", 10**6, "a landmark refers to a wall that does not exist"),
     ("corners.parquet", "last_seen", 10**6, "a landmark was seen in a keyframe that does not exist"),
-    ("keyframes.parquet", "travelled", -1.0, "the travelled distance decreases"),
+    (KEYFRAMES, "travelled", -1.0, "the travelled distance decreases"),
     ("variables.parquet", "id", 10**6, "(the keyframes are not in order|does not exist)"),
     (SCANS, "segment_offset_offset", -1.0, "the covariance of a segment is not positive definite"),
     (SCANS, "segment_offset_offset", 1e-300, "the covariance of a segment is not positive definite"),
@@ -242,3 +248,17 @@ def test_no_damage_of_a_footer_ends_the_process(tmp_path: Path) -> None:
     write_table(path, {"a": np.arange(20.0), "b": to_ragged([np.arange(3.0)] * 20, np.float64)})
     result = subprocess.run([sys.executable, "-c", DAMAGE, str(path)], capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
+
+
+def test_odometry_that_leads_back_is_refused(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """The drift is followed along odometry to the first keyframe; in a circle that would never end."""
+    path = shutil.copytree(written[1], tmp_path / "out")
+    file = path / SESSION / FACTORS
+    table = pq.read_table(file)
+    factors = table.to_pylist()
+    last = max(k for k, factor in enumerate(factors) if factor["kind"] == FactorKind.ODOMETRY)
+    first, second = factors[last]["first"], factors[last]["second"]
+    factors[last] |= {"first": second, "second": first}
+    pq.write_table(pa.Table.from_pylist(factors, table.schema), file)
+    with pytest.raises(MapError, match=f"factors.parquet: odometry leads from the keyframe {second} back to {first}"):
+        read_session(path)

@@ -55,8 +55,19 @@ def test_the_place_along_a_corridor_is_measured_by_those_that_have_seen_its_door
 
 def test_the_other_side_of_a_wall_is_another_surface() -> None:
     scan, reference = surface((2.0, -1.0), (2.0, 1.0), BACK), surface((2.1, -1.0), (2.1, 1.0), (1.0, 0.0))
-    scan, reference = (np.concatenate([corridor(3.0), wall]) for wall in (scan, reference))
+    scan, reference = (np.concatenate([corridor(1.9), wall]) for wall in (scan, reference))
     assert shares(reference, scan, 0.0)[0] < 1e-3
+
+
+def test_what_has_moved_shows_nothing() -> None:
+    end = surface((3.0, -1.0), (3.0, 1.0), BACK)
+    person, walls = surface((1.5, 0.0), (1.5, 0.4), BACK), corridor(2.9)
+    scan = np.concatenate([walls, person])
+    information = point_information(scan)
+    parts = split_information(information, np.concatenate([walls, end]), scan, np.zeros(3))
+    along, across, _ = np.diag(sum(parts)) / np.diag(information)
+    assert along < 1e-3
+    assert across > 0.99
 
 
 def test_a_scan_without_points_has_no_information() -> None:

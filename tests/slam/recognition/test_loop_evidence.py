@@ -16,7 +16,7 @@ from slam.recognition.location import DOUBTED, Expectation, Location
 COVARIANCE_FACTOR = 0.02  # standard deviations seven times too small
 
 
-@pytest.mark.parametrize("seed", [20, pytest.param(21, marks=pytest.mark.slow)])  # with 2.0 and 2.2 m of drift
+@pytest.mark.parametrize("seed", [46, pytest.param(49, marks=pytest.mark.slow)])  # the estimate is in doubt
 def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is_wrong(
     monkeypatch: pytest.MonkeyPatch, seed: int
 ) -> None:
