@@ -195,10 +195,10 @@ def read_recording(path: Path) -> None:
 def continue_session(path: Path) -> None:
     """Read a session, and do with it what the beginning and the end of a continued run and of a localisation do."""
     session = read_session(path)
-    session.scan_history()
+    history = session.scan_history()
     Slam(session.config, resumed=session).snapshot().finished()
     trajectory = session.slam_state.trajectory.at_scans(session.slam_state.mapper.keyframe_poses)
-    final_result(session.slam_state, trajectory, {})
+    final_result(session.slam_state, trajectory, history.sweep_covariances, {})
 
 
 def write_report(path: Path) -> None:
