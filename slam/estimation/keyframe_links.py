@@ -32,7 +32,7 @@ def link_revisited(state: SlamState, scan: ProcessedScan) -> bool:
 
     That is, if Gauss-Newton would find the pose of the new scan among the points of the old one, and does not find
     another one there. Else the next scans would be pulled from the path to the old points, and odometry would seem to
-    have failed, while it is a loop that has to be closed. Returns True if they were linked; the map has moved then.
+    have failed, while it is a loop that has to be closed. Returns True if they were linked: the map may have moved.
     """
     mapper, last = state.mapper, state.mapper.keyframe_count - 1
     connected = mapper.landmarks.parts.connected(np.arange(last + 1))
@@ -57,9 +57,10 @@ def link_revisited(state: SlamState, scan: ProcessedScan) -> bool:
 
 
 def _match_around(state: SlamState, old: int) -> PointMatch | None:
-    """Return the match of the last keyframe with the points around an old one; None if too few of them show anything.
+    """Return the match of the last keyframe with the points around an old one.
 
-    Where the points determine nothing the match is the pose in the map, without information.
+    None if too few points are in space that was seen there, or if they fit poorly everywhere, as beside people: then
+    the match does not decide if the two are linked.
     """
     poses, last = state.mapper.keyframe_poses, state.mapper.keyframe_count - 1
     around, points = state.local_field.missing_around(old, state.mapper.travelled), state.local_field.points(last)

@@ -57,38 +57,40 @@ def _compare(reference, points, relative):  # type: ignore[no-untyped-def]
     reference's base, which is near its lidar.
     """
     c, s = math.cos(relative[2]), math.sin(relative[2])
-    kinds = np.empty(len(points), np.int64)
+    ranges, kinds = np.hypot(reference[:, 0], reference[:, 1]), np.full(len(points), NEW)
     for k in range(len(points)):
         x, y = relative[0] + c * points[k, 0] - s * points[k, 1], relative[1] + s * points[k, 0] + c * points[k, 1]
         normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
-        kinds[k] = NEW
         for j in range(len(reference)):
-            facing = _faces_the_same_way(normal_x, normal_y, reference[j, 2], reference[j, 3])
-            if facing and _is_on_surface(reference[j], x, y):
+            if _is_on_surface(reference[j], x, y, normal_x, normal_y):
                 kinds[k] = SHARED
                 break
-            if _passes(reference[j, 0], reference[j, 1], x, y):
+            if kinds[k] == NEW and _passes(reference[j], ranges[j], x, y):
                 kinds[k] = MOVED
     return kinds
 
 
 @inlined
-def _is_on_surface(point, x, y):  # type: ignore[no-untyped-def]
-    """Return True if (x, y) is near a point (4,) and on its surface, up to COARSE_SIGMA; at it if it has no normal."""
+def _is_on_surface(point, x, y, normal_x, normal_y):  # type: ignore[no-untyped-def]
+    """Return True if (x, y) with a normal is near a point (4,), faces the same way, and is on its surface.
+
+    That is up to COARSE_SIGMA across, or from the point itself if that has no normal.
+    """
     dx, dy = x - point[0], y - point[1]
-    distance = math.hypot(dx, dy)
-    known = point[2] != 0.0 or point[3] != 0.0
-    return distance < MAX_DISTANCE and (abs(dx * point[2] + dy * point[3]) if known else distance) < COARSE_SIGMA
+    squared, of_surface = dx * dx + dy * dy, point[2] != 0.0 or point[3] != 0.0
+    if squared >= MAX_DISTANCE**2 or not _faces_the_same_way(normal_x, normal_y, point[2], point[3]):
+        return False
+    return (abs(dx * point[2] + dy * point[3]) if of_surface else math.sqrt(squared)) < COARSE_SIGMA
 
 
 @inlined
-def _passes(end_x, end_y, x, y):  # type: ignore[no-untyped-def]
-    """Return True if a beam from the origin to an end passes a point, by less than half of the distance of points."""
-    length = math.hypot(end_x, end_y)
-    if length <= DEPTH:
+def _passes(point, length, x, y):  # type: ignore[no-untyped-def]
+    """Return True if the beam to a point, `length` metres, passes (x, y): by less than half of POINT_SPACING."""
+    across = y * point[0] - x * point[1]  # this and the next one are multiplied by the length
+    along = x * point[0] + y * point[1]
+    if abs(across) >= 0.5 * POINT_SPACING * length:
         return False
-    along, across = (x * end_x + y * end_y) / length, (y * end_x - x * end_y) / length
-    return DEPTH < along < length - DEPTH and abs(across) < 0.5 * POINT_SPACING
+    return DEPTH * length < along < (length - DEPTH) * length
 
 
 @inlined
