@@ -147,7 +147,8 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     """Return the nearest keyframe of a familiar place; None if the place is not familiar.
 
     A place is familiar if it was visited often enough and looks as before. On a frozen map every place is familiar. So
-    the graph grows with the size of the building and not with the time spent in it.
+    the graph grows with the size of the building and not with the time spent in it. Only linked keyframes count: others
+    are near in an estimate that has drifted, and a pose relative to them would close a loop that nothing confirms.
     """
     mapper = state.mapper
     if state.frozen:
@@ -155,6 +156,7 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     if state.kidnapped or state.at_part_begin or tracking.familiarity < MIN_FAMILIARITY:
         return None
     near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
+    near = near[np.isin(near, state.local_field.inserted)]
     driven = np.sort([state.keyframe_driven[k] for k in near])
     before = driven[driven < state.driven - VISIT_GAP]  # without those of the current visit
     visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0

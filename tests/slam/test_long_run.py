@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from drivers.messages import Message, Odometry, Scan
-from drivers.simulation import LidarModel, Simulation
+from drivers.simulation import LidarModel, Simulation, World
 from slam import Slam
 from slam.config import Config, config_to_toml
+from slam.estimation import keyframe_links, scan_update
 from slam.estimation.journal import STANDING_SCANS, UNDECIDED_SCANS, Journal
 from slam.events import Finished
 from slam.io.output_dir import CONFIG
@@ -21,6 +22,12 @@ from slam.io.sessions import read_session, write_session
 RATE = 5.0
 STANDING = 60.0
 """Seconds for which the robot stands."""
+OUTER = 7.0 * np.array([[-1, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])
+RING_PATH = 5.0 * np.array(
+    [[-0.5, -1], [0.5, -1], [-0.5, -1], [0.5, -1], [-0.5, -1], [1, -1], [1, 1], [-1, 1], [-1, -1], [0.5, -1]]
+)
+RING = World("ring", "a ring", np.concatenate([OUTER, OUTER * 3 / 7]), np.zeros((0, 3)), RING_PATH, 1.0)
+"""A corridor around a block. The robot visits its start three times, drives around the block, and comes back."""
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +153,20 @@ def test_a_robot_that_shuttles_along_a_short_way_makes_no_more_keyframes() -> No
             slam.add(message)
         keyframes.append(slam.slam_state.mapper.keyframe_count)
     assert keyframes[-1] == keyframes[6]
+
+
+def test_a_place_is_familiar_only_by_linked_keyframes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Relative to others, which are near in an estimate with drift, the pose would close a loop without a decision."""
+    monkeypatch.setattr(keyframe_links, "_is_well_known", lambda covariance: False)
+    monkeypatch.setattr(scan_update, "search_loop", lambda state: None)
+    slam = Slam()
+    for message in Simulation(RING, seed=0, lidar=LidarModel(beams=180, rate=RATE)):
+        if isinstance(message, Odometry | Scan):
+            linked = slam.slam_state.local_field.inserted if slam.slam_state else []
+            slam.add(message)
+            anchor = slam.slam_state.anchor
+            if anchor is not None and anchor.keyframe < slam.slam_state.mapper.keyframe_count - 1:
+                assert anchor.keyframe in linked
 
 
 def test_features_of_a_keyframe_are_kept_although_it_seemed_to_be_in_a_familiar_place(
