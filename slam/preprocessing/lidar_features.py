@@ -43,11 +43,11 @@ class ExtractedScan:
     def moved_to(self, reference: DeskewedScan, model: OdometryModel) -> ExtractedScan:
         """Return the scan as if it belonged to the stamp of another one; odometry says how the base has moved.
 
-        The uncertainty of that motion is part of the travel of the beams.
+        The uncertainty of that motion is part of that of the sweep.
         """
         motion = model.correct(se2.between(reference.odometry, self.deskewed.odometry))
-        travel = self.deskewed.travel + float(wheel_travel(motion))
-        deskewed = replace(self.deskewed, stamp=reference.stamp, odometry=reference.odometry, travel=travel)
+        sweep = replace(self.deskewed.motion, offset=float(wheel_travel(motion)))
+        deskewed = replace(self.deskewed, stamp=reference.stamp, odometry=reference.odometry, motion=sweep)
         return replace(self, deskewed=deskewed, mount=se2.compose(motion, self.mount))
 
 

@@ -3,19 +3,20 @@
 A sweep is corrected with odometry's motion, whose random error is common to neighbouring beams: it does not average out
 over a wall, and it bends the wall. At a beam, s metres of travel from the middle of the sweep and negative before it,
 it is like an error of the robot's pose. The error of the position is s b with b ~ N(0, t I). That of the heading is a
-random walk w with the variance q per metre in both directions. The reference of the sweep is the middle of a parabola
-that is fitted to odometry from -l to l (see `deskew`), so the middle of that fitted to w is subtracted:
+random walk w, which grows between two readings, d metres apart, by N(0, q d), and evenly: the robot moves smoothly, and
+the error is in the readings. The reference of the sweep is the middle of a parabola that is fitted to odometry from -l
+to l seconds (see `deskew`), so the middle of that fitted to w is subtracted:
 
-    e(s) = w(s) - int p(|u| / l) dw(u),    p(x) = (4 - 9 x + 5 x^3) / 8 for x < 1, else 0
+    e(u) = w(u) - int_-1^1 v(x) w(l x) dx,    v(x) = (9 - 15 x^2) / 8
 
 The offset d and the heading h of a segment are sums over the distances of its beams from the line, with the gains g_k
 of the weighted fit. Beam k ends at p_k, x_k along the line from its middle. With the directions t along and n across
 the line, the motion moves it across the line by e(s_k) t'p_k + s_k n'b:
 
-    [d, h] = sum_k g_k (e(s_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
+    [d, h] = sum_k g_k (e(u_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
 
-This is linear in b and in the steps of the random walk, STEPS on either side of the middle. Let the responses R_i
-(2, m) of segment i be its changes by one standard deviation of each of these errors.
+This is linear in b and in the steps of the random walk. Let the responses R_i (2, m) of segment i be its changes by
+one standard deviation of each of these errors.
 
 To a large part they move all segments together, as if the robot had been at another pose. The scan is a rigid body
 then, and its walls fit those of other scans: that part must not make the walls uncertain. It is the displacement G
@@ -50,14 +51,11 @@ from ..geometry.line_segments import MIN_WALL_DISTANCE
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import inverse
 from ..odometry.error_model import OdometryModel
-from .deskew import DeskewedScan
+from .deskew import DeskewedScan, SweepMotion
 
 if TYPE_CHECKING:
     from features.types import Lines, Noise
 
-# Steps of the random walk from the middle of a sweep to either end. Origin: numerical, with 64 the variances of the
-# walls of a room differ by less than a hundredth in the median, and by 9 % at most.
-STEPS = 16
 # Iterations of the displacement, on which its weights depend. Origin: numerical, it changes by less than a hundredth
 # after that.
 ITERATIONS = 5
@@ -87,10 +85,10 @@ def add_motion_uncertainty(
     mount              pose of the lidar in the base's frame
     Returns also the sweep covariance (3, 3), of the scan's displacement in the base's frame, metres and radians.
     """
-    if not len(segments) or not scan.travel.any():
+    if not len(segments) or not scan.motion.reach:
         return segments, corners, np.zeros((3, 3))
-    responses = _segment_responses(segments, lines, scan, model, noise, mount)
-    translation, rotation = (float(variance) for variance in model.variances(np.array(_reach(scan))))
+    responses = _segment_responses(segments, lines, scan.bearings, scan.motion, model, noise, mount)
+    translation, rotation = (float(variance) for variance in model.variances(np.array(scan.motion.reach)))
     limit = np.diag([translation, translation, rotation])
     left, displacement = _without_displacement(segments.covariance, _jacobians(segments), responses, limit)
     of_corners = _corner_covariances(segments.frame, corners.position, corners.segments, left)
@@ -113,54 +111,72 @@ def displaced(segments: Segments, corners: CornerPoints, covariance: Floats) -> 
     )
 
 
-def _reach(scan: DeskewedScan) -> float:
-    """Return how far from the middle of a sweep the errors matter, metres of travel."""
-    return max(float(scan.travel.max()), scan.fitted)
-
-
 def _segment_responses(
-    segments: Segments, lines: Lines, scan: DeskewedScan, model: OdometryModel, noise: Noise, mount: se2.Pose
+    segments: Segments,
+    lines: Lines,
+    bearings: Floats,
+    motion: SweepMotion,
+    model: OdometryModel,
+    noise: Noise,
+    mount: se2.Pose,
 ) -> Floats:
-    """Return (n, 2, 2 STEPS + 2) the changes of offset and heading by one standard deviation of each error."""
-    translation, rotation = (float(variance) for variance in model.variances(np.ones(())))  # after one metre
-    reach = _reach(scan)
-    before = np.arange(len(scan.travel)) < int(np.argmin(scan.travel))
+    """Return (n, 2, m + 3) the changes of offset and heading by one standard deviation of each error."""
+    interval = np.clip(np.searchsorted(motion.nodes, motion.times, side="right") - 1, 0, len(motion.steps) - 1)
     turns, shifts = _unit_responses(
         segments.frame,
         segments.half_length,
         np.ascontiguousarray(lines.first),  # a column of one row is contiguous, and would be compiled for separately
         np.ascontiguousarray(lines.last),
-        scan.bearings,
-        np.where(before, -scan.travel, scan.travel),
+        bearings,
+        np.copysign(motion.travel, motion.times) + motion.offset,
+        interval,
+        (motion.times - motion.nodes[interval]) / np.diff(motion.nodes)[interval],
+        _shares_in_fit(motion.nodes, motion.fitted),
         tuple(mount.tolist()),
         (noise.sigma_range**2, noise.sigma_bearing**2),
-        reach,
-        scan.fitted,
     )
-    across = np.column_stack([-np.sin(segments.frame[:, 2]), np.cos(segments.frame[:, 2])])
-    moved = math.sqrt(translation) * shifts[:, :, None] * across[:, None, :]
-    return np.concatenate([math.sqrt(rotation * reach / STEPS) * turns, moved], axis=2)
+    jacobians = _jacobians(segments)
+    translation = float(model.variances(np.ones(()))[0])  # after one metre
+    moved = math.sqrt(translation) * shifts[:, :, None] * jacobians[:, :1, :2]
+    turned = math.sqrt(float(model.variances(np.array(motion.offset))[1])) * jacobians[:, :, 2:]
+    return np.concatenate([np.sqrt(model.variances(motion.steps)[1]) * turns, moved, turned], axis=2)
+
+
+def _shares_in_fit(nodes: Floats, fitted: float) -> Floats:
+    """Return (m,) what the middle of the fitted parabola has of each step of the random walk, between two `nodes`.
+
+    A step r rises from 0 to 1 between its nodes a and b. With V = int v, which is 0 before -1 and 1 after 1,
+
+        int_-1^1 v(x) r(l x) dx = 1 - int_a^b V(u / l) du / (b - a)
+    """
+    x = nodes / fitted if fitted else np.copysign(np.inf, nodes)
+    inner = np.clip(x, -1.0, 1.0)
+    integral = np.where(
+        np.abs(x) < 1.0, fitted * (3.0 + 16.0 * inner + 18.0 * inner**2 - 5.0 * inner**4) / 32.0, np.maximum(nodes, 0.0)
+    )
+    return np.asarray(1.0 - np.diff(integral) / np.diff(nodes))
 
 
 @compiled
-def _unit_responses(frames, half_lengths, first, last, bearings, travel, mount, variances, reach, fitted):  # type: ignore[no-untyped-def]
+def _unit_responses(frames, half_lengths, first, last, bearings, travel, interval, part, of_fit, mount, variances):  # type: ignore[no-untyped-def]
     """Return the changes of offset and heading of each segment by a unit of each error.
 
-    By each step of the heading (n, 2, 2 STEPS), radians, and by the component n'b (n, 2) of the position. All beams
-    from the `first` to the `last` one of a segment count as beams on it.
+    By each step of the heading (n, 2, m), radians, and by the component n'b (n, 2) of the position. All beams from the
+    `first` to the `last` one of a segment count as beams on it.
 
-    frames     (n, 3) of the segments in the base's frame
-    travel     (p,) metres from the middle of the sweep, negative before it
-    variances  of range and bearing of a ray
-    reach      metres from the middle that the steps cover on either side
-    fitted     metres from there to either end of the interval that the reference is fitted to
+    frames          (n, 3) of the segments in the base's frame
+    travel          (p,) metres from the middle of the sweep, negative before it
+    interval, part  (p,) the step that each beam is in, and how much of it is over
+    of_fit          (m,) share of each step in the middle of the fitted parabola
+    variances       of range and bearing of a ray
     """
-    turns, shifts = np.zeros((len(frames), 2, 2 * STEPS)), np.zeros((len(frames), 2))
-    count, width = len(bearings), reach / STEPS
+    steps = len(of_fit)
+    turns, shifts = np.zeros((len(frames), 2, steps)), np.zeros((len(frames), 2))
+    count = len(bearings)
     weights, places = np.empty(count), np.empty(count)
     for i in range(len(frames)):
         lever = math.cos(frames[i, 2]) * frames[i, 0] + math.sin(frames[i, 2]) * frames[i, 1]
-        beams, whole = (last[i] - first[i]) % count + 1, np.zeros((2 * STEPS, 2))  # of beams by the step they end in
+        beams, whole = (last[i] - first[i]) % count + 1, np.zeros((steps, 2))  # of beams by the step they are in
         total = one = two = 0.0
         for b in range(beams):
             bearing = bearings[(first[i] + b) % count]
@@ -168,37 +184,22 @@ def _unit_responses(frames, half_lengths, first, last, bearings, travel, mount, 
             total, one, two = total + weights[b], one + weights[b] * places[b], two + weights[b] * places[b] ** 2
         determinant = max(total * two - one * one, SMALLEST)
         for b in range(beams):
-            s, arm = travel[(first[i] + b) % count], places[b] + lever
+            beam, arm = (first[i] + b) % count, places[b] + lever
             offset = weights[b] * (two - one * places[b]) / determinant
             heading = weights[b] * (total * places[b] - one) / determinant
-            shifts[i, 0], shifts[i, 1] = shifts[i, 0] + offset * s, shifts[i, 1] + heading * s
-            passed = abs(s) / width
-            step = min(int(passed), STEPS - 1)
-            column = step if s < 0.0 else STEPS + step
-            whole[column, 0], whole[column, 1] = whole[column, 0] + offset * arm, whole[column, 1] + heading * arm
-            turns[i, 0, column] += (passed - step) * offset * arm
-            turns[i, 1, column] += (passed - step) * heading * arm
-        _add_whole_steps(turns[i], whole)
-        for step in range(STEPS):
-            of_fit = _share_in_fit((step + 0.5) * width, fitted)
-            for side in (0, STEPS):
-                turns[i, 0, side + step] -= of_fit * lever
-                turns[i, 1, side + step] -= of_fit
+            shifts[i, 0] += offset * travel[beam]
+            shifts[i, 1] += heading * travel[beam]
+            step = interval[beam]
+            whole[step, 0] += offset * arm
+            whole[step, 1] += heading * arm
+            turns[i, 0, step] += part[beam] * offset * arm
+            turns[i, 1, step] += part[beam] * heading * arm
+        later_offset = later_heading = 0.0  # of the beams in later steps, which have all of this one
+        for step in range(steps - 1, -1, -1):
+            turns[i, 0, step] += later_offset - of_fit[step] * lever
+            turns[i, 1, step] += later_heading - of_fit[step]
+            later_offset, later_heading = later_offset + whole[step, 0], later_heading + whole[step, 1]
     return turns, shifts
-
-
-@compiled
-def _add_whole_steps(turns, whole):  # type: ignore[no-untyped-def]
-    """Add, to the responses (2, 2 STEPS) of a segment to each step, those of the beams that end in later steps.
-
-    whole  (2 STEPS, 2) sums over the beams that end in each step, as if they had the whole step
-    """
-    for side in (0, STEPS):
-        offset = heading = 0.0
-        for step in range(STEPS - 1, -1, -1):
-            turns[0, side + step] += offset
-            turns[1, side + step] += heading
-            offset, heading = offset + whole[side + step, 0], heading + whole[side + step, 1]
 
 
 @compiled
@@ -212,15 +213,6 @@ def _weight_and_place(frame, half_length, bearing, mount, variances):  # type: i
     place = min(max(place, -half_length), half_length)
     square, along = distance**2, (place - start) ** 2
     return 1.0 / (variances[0] * square / (square + along) + variances[1] * along), place
-
-
-@compiled
-def _share_in_fit(travel, fitted):  # type: ignore[no-untyped-def]
-    """Return p of the module's documentation: the share of a step of the random walk in the middle of the parabola."""
-    if travel >= fitted:
-        return 0.0
-    part = travel / fitted
-    return (4.0 - 9.0 * part + 5.0 * part**3) / 8.0
 
 
 def _jacobians(segments: Segments) -> Floats:

@@ -126,7 +126,7 @@ class Preprocessor:
         """
         first = self._first.extract(pair.first, self.odometry, odometry_model)
         features, deskewed = first.in_base_frame(odometry_model), first.deskewed
-        travel = float(deskewed.travel.max(initial=0.0))
+        travel = deskewed.motion.reach
         if pair.second is not None:
             second = self._second.extract(pair.second, self.odometry, odometry_model)
             features = joined(features, second.moved_to(deskewed, odometry_model).in_base_frame(odometry_model))

@@ -12,8 +12,8 @@ from features import Extractor, Noise
 from slam.config import OdometryConfig
 from slam.geometry.line_segments import corner_points, segments_from_lines
 from slam.odometry.error_model import OdometryModel
-from slam.odometry.history import OdometryHistory
-from slam.preprocessing.deskew import deskew, sweep_middle
+from slam.odometry.history import OdometryHistory, wheel_travel
+from slam.preprocessing.deskew import MAX_NODES, deskew, sweep_middle
 from slam.preprocessing.motion_uncertainty import add_motion_uncertainty
 
 from ..odometry.circle import circle_history, pose_on_circle
@@ -104,13 +104,28 @@ def test_walls_stay_straight_and_in_place_while_the_robot_turns() -> None:
     assert min(skewed) > 0.05  # without de-skewing
 
 
+@pytest.mark.parametrize(("interval", "expected"), [(0.001, 0.004), (0.02, 0.02), (0.07, 0.07), (0.5, 0.1)])
+def test_the_error_of_odometry_changes_evenly_between_readings(interval: float, expected: float) -> None:
+    """Where they are far apart, it changes evenly while robots move smoothly; where they are dense, between some."""
+    odometry = circle_history(round(2.0 / interval), interval)
+    scan = Scan(1.03, np.ones(40), np.linspace(0.0, 6.0, 40), np.linspace(0.0, 0.1, 40), 0.1, 10.0)
+    motion, middle = deskew(scan, odometry, np.zeros(3)).motion, sweep_middle(scan)
+    assert motion.nodes[0] <= motion.times[0] < motion.times[-1] <= motion.nodes[-1]
+    assert np.diff(motion.nodes).max() < expected + 1e-9
+    assert len(motion.nodes) <= MAX_NODES + 2
+    if interval == expected:
+        assert np.abs(motion.nodes[:, None] + middle - odometry.stamps).min(axis=1).max() < 1e-9
+    poses = odometry.at_each(motion.nodes + middle)
+    np.testing.assert_allclose(motion.steps, wheel_travel(se2.between(poses[:-1], poses[1:])))
+
+
 def test_an_instantaneous_sweep_is_unchanged() -> None:
     scan = Scan(1.0, np.array([1.0, np.nan, 2.0]), np.array([0.0, 0.1, 0.2]), np.zeros(3), 0.1, 10.0)
     sweep = deskew(scan, circle_history(), np.zeros(3))
     np.testing.assert_array_equal(sweep.ranges, scan.ranges)
     np.testing.assert_array_equal(sweep.bearings, scan.angles)
     assert sweep.stamp == sweep_middle(scan) == 1.0
-    assert not sweep.travel.any()
+    assert sweep.motion.reach == 0.0
     empty = Scan(1.0, np.zeros(0), np.zeros(0), np.zeros(0), 0.1, 10.0)
     assert len(deskew(empty, circle_history(), np.zeros(3)).ranges) == 0
 
