@@ -9,6 +9,10 @@ coordinate is smoothed with the same gains (Rauch, Tung and Striebel 1965), for 
 (v sigma)^2 + r^2. Between two readings the smoothed motion is the cubic that has the smoothed positions and velocities
 at both. Where it is farther from the readings than their errors explain, the robot has changed its speed suddenly; so
 the difference is limited.
+
+What is left of the errors of the stamps makes the motion during a sweep too fast or too slow. The smoothed positions x
+are linear in those of the readings z, with a symmetric matrix: they minimise |x - z|^2 / r^2 + x' K x. So the gains of
+the difference between two of them are the result of smoothing 1 at one and -1 at the other.
 """
 
 from __future__ import annotations
@@ -39,15 +43,16 @@ MIN_READINGS = 4
 UNKNOWN = 1e6
 
 
-def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> Floats:
+def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> tuple[Floats, float]:
     """Return the poses (n, 3) of odometry at increasing stamps (n,), seconds, smoothed over readings up to the last.
 
-    If there are too few readings, or the stamps are not between them, they are interpolated as by `OdometryHistory`.
+    Returns also the standard deviation of the relative error of their speed by inexact stamps of the readings. If there
+    are too few readings, or the stamps are not between them, the poses are interpolated as by `OdometryHistory`.
     """
     interpolated = odometry.at_each(stamps)
     times, readings = odometry.readings_between(float(stamps[0]) - REACH, float(stamps[-1]))
     if len(times) < MIN_READINGS or not times[0] <= stamps[0] <= stamps[-1] <= times[-1]:
-        return interpolated
+        return interpolated, 0.0
     origin = readings[np.searchsorted(times, stamps[0]) - 1]
     moves = between_each(origin[None], readings)
     moves[:, 2] = unwrapped(moves[:, 2].copy())
@@ -58,7 +63,17 @@ def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> Floats:
     smoothed = compose_each(origin[None], _smoothed(times - stamps[0], moves, ratio, stamps - stamps[0]))
     limit = JITTER + MAX_DEVIATION * stamp_error * np.abs(steps).sum(axis=0) / duration
     limited = np.clip(between_each(interpolated, smoothed), -limit, limit)
-    return np.asarray(compose_each(interpolated, limited))
+    speed_error = stamp_error * _gain_of_speed(times, ratio, float(stamps[0]))
+    return np.asarray(compose_each(interpolated, limited)), speed_error
+
+
+def _gain_of_speed(times: Floats, ratio: float, begin: float) -> float:
+    """Return by how much the mean speed from `begin` (seconds) on varies if the stamps vary independently, 1/s."""
+    first = int(np.searchsorted(times, begin, side="right")) - 1
+    ends = np.zeros((len(times), 3))
+    ends[first, 0], ends[-1, 0] = -1.0, 1.0
+    gains = _smoothed_states(times, ends, ratio)[:, 0]
+    return float(np.linalg.norm(gains) / (times[-1] - times[first]))
 
 
 @compiled

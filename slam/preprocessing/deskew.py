@@ -45,25 +45,32 @@ MAX_NODES = 32
 class SweepMotion:
     """Motion of odometry during a sweep, relative to the pose in its middle.
 
-    times   (n,) seconds from the middle to each beam
-    travel  (n,) metres of wheel travel between the middle and each beam
-    nodes   (m + 1,) seconds from the middle to the readings between which odometry's error changes evenly
-    steps   (m,) metres of wheel travel between these
-    fitted  seconds from the middle to either end of the interval that the reference is fitted to
-    offset  metres of wheel travel between the middle and the stamp that the scan was moved to
+    times        (n,) seconds from the middle to each beam
+    poses        (n, 3) [x, y, heading] of the base at each beam
+    speed_error  standard deviation of the relative error of the speed, see `smoothed_poses`
+    nodes        (m + 1,) seconds from the middle to the readings between which odometry's error changes evenly
+    steps        (m,) metres of wheel travel between these
+    fitted       seconds from the middle to either end of the interval that the reference is fitted to
+    offset       metres of wheel travel between the middle and the stamp that the scan was moved to
     """
 
     times: Floats
-    travel: Floats
+    poses: Floats
+    speed_error: float
     nodes: Floats
     steps: Floats
-    fitted: float = 0.0
+    fitted: float
     offset: float = 0.0
 
     @classmethod
     def none(cls, beams: int) -> SweepMotion:
         """Return that of a robot that stands."""
-        return cls(np.zeros(beams), np.zeros(beams), np.array([0.0, 1.0]), np.zeros(1))
+        return cls(np.zeros(beams), np.zeros((beams, 3)), 0.0, np.array([0.0, 1.0]), np.zeros(1), 0.0)
+
+    @property
+    def travel(self) -> Floats:
+        """(n,) metres of wheel travel between the middle and each beam."""
+        return wheel_travel(self.poses)
 
     @property
     def reach(self) -> float:
@@ -122,7 +129,7 @@ def deskew(
     middle = sweep_middle(scan)
     half = math.ceil(0.5 * duration / KNOT_INTERVAL)
     offsets = np.linspace(0.0, duration, 2 * half + 1)
-    poses = smoothed_poses(odometry, scan.stamp + offsets)
+    poses, speed_error = smoothed_poses(odometry, scan.stamp + offsets)
     reference = poses[half]
     moves = between_each(reference[None], poses)
     travels = wheel_travel(moves)
@@ -147,7 +154,8 @@ def deskew(
     at_nodes = odometry.at_each(nodes)
     motion = SweepMotion(
         scan.time_offsets - 0.5 * duration,
-        np.interp(scan.time_offsets, offsets, travels),
+        np.column_stack([np.interp(scan.time_offsets, offsets, moves[:, k]) for k in range(3)]),
+        speed_error,
         nodes - middle,
         wheel_travel(between_each(at_nodes[:-1], at_nodes[1:])),
         fitted,

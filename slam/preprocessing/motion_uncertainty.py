@@ -9,14 +9,17 @@ to l seconds (see `deskew`), so the middle of that fitted to w is subtracted:
 
     e(u) = w(u) - int_-1^1 v(x) w(l x) dx,    v(x) = (9 - 15 x^2) / 8
 
+Inexact stamps of the readings make the whole motion m = (x, y, h) since the middle too fast by the share c (see
+`smoothed_poses`).
+
 The offset d and the heading h of a segment are sums over the distances of its beams from the line, with the gains g_k
 of the weighted fit. Beam k ends at p_k, x_k along the line from its middle. With the directions t along and n across
-the line, the motion moves it across the line by e(s_k) t'p_k + s_k n'b:
+the line, the motion moves it across the line by e(u_k) t'p_k + s_k n'b + c (h_k t'p_k + n'[x_k, y_k]):
 
-    [d, h] = sum_k g_k (e(u_k) t'p_k + s_k n'b),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
+    [d, h] = sum_k g_k (...),    g_k = w_k N^-1 [1, x_k],    N = sum_k w_k [1, x_k] [1, x_k]'
 
-This is linear in b and in the steps of the random walk. Let the responses R_i (2, m) of segment i be its changes by
-one standard deviation of each of these errors.
+This is linear in b, in c and in the steps of the random walk. Let the responses R_i (2, m) of segment i be its changes
+by one standard deviation of each of these errors.
 
 To a large part they move all segments together, as if the robot had been at another pose. The scan is a rigid body
 then, and its walls fit those of other scans: that part must not make the walls uncertain. It is the displacement G
@@ -120,15 +123,16 @@ def _segment_responses(
     noise: Noise,
     mount: se2.Pose,
 ) -> Floats:
-    """Return (n, 2, m + 3) the changes of offset and heading by one standard deviation of each error."""
+    """Return (n, 2, m + 4) the changes of offset and heading by one standard deviation of each error."""
     interval = np.clip(np.searchsorted(motion.nodes, motion.times, side="right") - 1, 0, len(motion.steps) - 1)
-    turns, shifts = _unit_responses(
+    turns, shifts, speeds = _unit_responses(
         segments.frame,
         segments.half_length,
         np.ascontiguousarray(lines.first),  # a column of one row is contiguous, and would be compiled for separately
         np.ascontiguousarray(lines.last),
         bearings,
         np.copysign(motion.travel, motion.times) + motion.offset,
+        motion.poses,
         interval,
         (motion.times - motion.nodes[interval]) / np.diff(motion.nodes)[interval],
         _shares_in_fit(motion.nodes, motion.fitted),
@@ -139,7 +143,8 @@ def _segment_responses(
     translation = float(model.variances(np.ones(()))[0])  # after one metre
     moved = math.sqrt(translation) * shifts[:, :, None] * jacobians[:, :1, :2]
     turned = math.sqrt(float(model.variances(np.array(motion.offset))[1])) * jacobians[:, :, 2:]
-    return np.concatenate([np.sqrt(model.variances(motion.steps)[1]) * turns, moved, turned], axis=2)
+    sped = motion.speed_error * speeds[:, :, None]
+    return np.concatenate([np.sqrt(model.variances(motion.steps)[1]) * turns, moved, turned, sped], axis=2)
 
 
 def _shares_in_fit(nodes: Floats, fitted: float) -> Floats:
@@ -158,24 +163,28 @@ def _shares_in_fit(nodes: Floats, fitted: float) -> Floats:
 
 
 @compiled
-def _unit_responses(frames, half_lengths, first, last, bearings, travel, interval, part, of_fit, mount, variances):  # type: ignore[no-untyped-def]
+def _unit_responses(
+    frames, half_lengths, first, last, bearings, travel, poses, interval, part, of_fit, mount, variances
+):  # type: ignore[no-untyped-def]
     """Return the changes of offset and heading of each segment by a unit of each error.
 
-    By each step of the heading (n, 2, m), radians, and by the component n'b (n, 2) of the position. All beams from the
-    `first` to the `last` one of a segment count as beams on it.
+    By each step of the heading (n, 2, m), radians, by the component n'b (n, 2) of the position, and by the relative
+    error c (n, 2) of the speed. All beams from the `first` to the `last` one of a segment count as beams on it.
 
     frames          (n, 3) of the segments in the base's frame
     travel          (p,) metres from the middle of the sweep, negative before it
+    poses           (p, 3) of the base
     interval, part  (p,) the step that each beam is in, and how much of it is over
     of_fit          (m,) share of each step in the middle of the fitted parabola
     variances       of range and bearing of a ray
     """
     steps = len(of_fit)
-    turns, shifts = np.zeros((len(frames), 2, steps)), np.zeros((len(frames), 2))
+    turns, shifts, speeds = np.zeros((len(frames), 2, steps)), np.zeros((len(frames), 2)), np.zeros((len(frames), 2))
     count = len(bearings)
     weights, places = np.empty(count), np.empty(count)
     for i in range(len(frames)):
-        lever = math.cos(frames[i, 2]) * frames[i, 0] + math.sin(frames[i, 2]) * frames[i, 1]
+        c, s = math.cos(frames[i, 2]), math.sin(frames[i, 2])
+        lever = c * frames[i, 0] + s * frames[i, 1]
         beams, whole = (last[i] - first[i]) % count + 1, np.zeros((steps, 2))  # of beams by the step they are in
         total = one = two = 0.0
         for b in range(beams):
@@ -189,6 +198,9 @@ def _unit_responses(frames, half_lengths, first, last, bearings, travel, interva
             heading = weights[b] * (total * places[b] - one) / determinant
             shifts[i, 0] += offset * travel[beam]
             shifts[i, 1] += heading * travel[beam]
+            moved = poses[beam, 2] * arm + c * poses[beam, 1] - s * poses[beam, 0]
+            speeds[i, 0] += offset * moved
+            speeds[i, 1] += heading * moved
             step = interval[beam]
             whole[step, 0] += offset * arm
             whole[step, 1] += heading * arm
@@ -199,7 +211,7 @@ def _unit_responses(frames, half_lengths, first, last, bearings, travel, interva
             turns[i, 0, step] += later_offset - of_fit[step] * lever
             turns[i, 1, step] += later_heading - of_fit[step]
             later_offset, later_heading = later_offset + whole[step, 0], later_heading + whole[step, 1]
-    return turns, shifts
+    return turns, shifts, speeds
 
 
 @compiled

@@ -59,7 +59,7 @@ def test_slips_do_not_look_like_errors_of_stamps() -> None:
 
 def test_exact_readings_are_kept() -> None:
     sweep = 10.0 + np.linspace(0.003, 0.103, 9)
-    difference = se2.between(poses_at(sweep), smoothed_poses(history_of(0.0), sweep))
+    difference = se2.between(poses_at(sweep), smoothed_poses(history_of(0.0), sweep)[0])
     np.testing.assert_allclose(difference, 0.0, atol=5e-5)
 
 
@@ -69,7 +69,7 @@ def test_inexact_stamps_bend_a_sweep_several_times_less(sigma: float) -> None:
     for begin in np.arange(2.0, 18.0, 0.4):
         sweep = begin + np.linspace(0.0, 0.1, 9)
         true = se2.between(poses_at(sweep)[4], poses_at(sweep))
-        both = [smoothed_poses(history, sweep), history.at_each(sweep)]
+        both = [smoothed_poses(history, sweep)[0], history.at_each(sweep)]
         errors.append([np.hypot(*(se2.between(poses[4], poses) - true)[:, :2].T).max() for poses in both])
     smoothed, interpolated = np.sqrt(np.mean(np.square(errors), axis=0))
     assert smoothed < 0.4 * interpolated
@@ -89,13 +89,28 @@ def test_the_smoothed_motion_is_that_of_a_gaussian_process() -> None:
 
     weights = np.linalg.solve(covariance(times, times) + ratio * np.eye(len(times)), se2.between(origin, readings))
     expected = se2.compose(origin, covariance(sweep, times) @ weights)
-    np.testing.assert_allclose(smoothed_poses(history, sweep), expected, atol=1e-5)
+    np.testing.assert_allclose(smoothed_poses(history, sweep)[0], expected, atol=1e-5)
 
 
 def test_stamps_outside_of_the_readings_or_few_readings_are_interpolated() -> None:
     history = history_of(0.0)
     for sweep in (np.array([-0.1, 0.0, 0.1]), np.array([19.9, 20.0, 20.1])):
-        np.testing.assert_array_equal(smoothed_poses(history, sweep), history.at_each(sweep))
+        np.testing.assert_array_equal(smoothed_poses(history, sweep)[0], history.at_each(sweep))
     few = OdometryHistory.from_arrays(np.array([0.0, 1.0, 2.0]), poses_at([0.0, 1.0, 2.0]))
     sweep = np.array([0.9, 1.0, 1.1])
-    np.testing.assert_array_equal(smoothed_poses(few, sweep), few.at_each(sweep))
+    np.testing.assert_array_equal(smoothed_poses(few, sweep)[0], few.at_each(sweep))
+
+
+@pytest.mark.parametrize("period", [0.02, 0.05])
+@pytest.mark.parametrize("sigma", [0.003, 0.01])
+def test_the_error_of_the_speed_is_stated(sigma: float, period: float) -> None:
+    history, errors, stated = history_of(sigma, period), [], []
+    for begin in np.arange(3.0, 19.0, 0.05):
+        poses, error = smoothed_poses(history, begin + np.linspace(0.0, 0.1, 9))
+        errors.append(se2.between(poses[0], poses[-1])[2] / (0.1 * TWIST[2]) - 1.0)
+        stated.append(error)
+    assert 0.8 < np.std(errors) / np.sqrt(np.mean(np.square(stated))) < 1.5  # readings also change places
+
+
+def test_the_speed_of_exact_readings_has_no_error() -> None:
+    assert smoothed_poses(history_of(0.0), 10.0 + np.linspace(0.003, 0.103, 9))[1] < 1e-3

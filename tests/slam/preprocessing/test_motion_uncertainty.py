@@ -11,19 +11,23 @@ from features import Noise
 from slam.config import OdometryConfig
 from slam.geometry.segments import CornerPoints, Segments
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.history import wheel_travel
 from slam.preprocessing.deskew import DeskewedScan, SweepMotion
 from slam.preprocessing.motion_uncertainty import _unit_responses, add_motion_uncertainty, displaced
 
 BEAMS = 720
 END = 0.05
 """Seconds from the middle of the sweep to either end."""
-SPEED = 0.8
-"""Metres of travel per second."""
+POSES = np.linspace(-END, END, BEAMS)[:, None] * [0.6, 0.0, 0.8]
+SPEED_ERROR = 0.005
+"""Standard deviation of the relative error of the speed by inexact stamps."""
 MODEL = OdometryModel(OdometryConfig(translation_error=0.02, rotation_walk=0.01))
 NOISE = Noise(0.01, 0.001)
 MOUNT = np.array([0.2, -0.1, 0.3])
 BEARINGS = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
 TIMES = np.linspace(-END, END, BEAMS)
+SPEED = wheel_travel(POSES).max() / END
+"""Metres of wheel travel per second."""
 NODES = np.array([-0.06, -0.037, -0.02, 0.005, 0.03, 0.052])
 """Seconds from the middle of the sweep to readings of odometry."""
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
@@ -32,7 +36,7 @@ DRAWS = 1500
 
 def sweep(fitted: float) -> DeskewedScan:
     """Return a sweep whose reference is fitted within some seconds from its middle."""
-    motion = SweepMotion(TIMES, SPEED * np.abs(TIMES), NODES, SPEED * np.diff(NODES), fitted)
+    motion = SweepMotion(TIMES, POSES, SPEED_ERROR, NODES, SPEED * np.diff(NODES), fitted)
     return DeskewedScan(0.0, np.zeros(3), np.ones(BEAMS), BEARINGS, motion)
 
 
@@ -200,10 +204,10 @@ def pose_jacobians(segments: Segments) -> np.ndarray:
 
 
 def motion_errors(random: np.random.Generator, fitted: float) -> np.ndarray:
-    """Return (r, p, 3) errors of position and heading at beams: proportional to travel, and a random walk of readings.
+    """Return (r, p, 3) errors of position and heading at beams.
 
-    The heading's are relative to the middle of a parabola fitted within `fitted` seconds from the middle; if that is
-    zero, to the middle itself.
+    They are proportional to travel, of the speed, and a random walk of the readings. This one is relative to the middle
+    of a parabola fitted within `fitted` seconds from the middle; if that is zero, to the middle itself.
     """
     translation, rotation = MODEL.variances(np.ones(()))
     steps = np.sqrt(rotation * SPEED * np.diff(NODES)) * random.standard_normal((DRAWS, len(NODES) - 1))
@@ -215,4 +219,5 @@ def motion_errors(random: np.random.Generator, fitted: float) -> np.ndarray:
     else:
         middles = np.array([np.interp(0.0, TIMES, walk) for walk in walks])
     positions = np.sqrt(translation) * random.standard_normal((DRAWS, 1, 2)) * SPEED * TIMES[:, None]
-    return np.concatenate([positions, (walks - middles[:, None])[..., None]], axis=2)
+    of_speed = SPEED_ERROR * random.standard_normal((DRAWS, 1, 1)) * POSES
+    return of_speed + np.concatenate([positions, (walks - middles[:, None])[..., None]], axis=2)
