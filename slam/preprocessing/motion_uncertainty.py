@@ -125,6 +125,7 @@ def _segment_responses(
 ) -> Floats:
     """Return (n, 2, m + 4) the changes of offset and heading by one standard deviation of each error."""
     interval = np.clip(np.searchsorted(motion.nodes, motion.times, side="right") - 1, 0, len(motion.steps) - 1)
+    part = (motion.times - motion.nodes[interval]) / np.diff(motion.nodes)[interval]
     turns, shifts, speeds = _unit_responses(
         segments.frame,
         segments.half_length,
@@ -133,9 +134,7 @@ def _segment_responses(
         bearings,
         np.copysign(motion.travel, motion.times) + motion.offset,
         motion.poses,
-        interval,
-        (motion.times - motion.nodes[interval]) / np.diff(motion.nodes)[interval],
-        _shares_in_fit(motion.nodes, motion.fitted),
+        (interval, part, _shares_in_fit(motion.nodes, motion.fitted)),
         tuple(mount.tolist()),
         (noise.sigma_range**2, noise.sigma_bearing**2),
     )
@@ -163,21 +162,20 @@ def _shares_in_fit(nodes: Floats, fitted: float) -> Floats:
 
 
 @compiled
-def _unit_responses(
-    frames, half_lengths, first, last, bearings, travel, poses, interval, part, of_fit, mount, variances
-):  # type: ignore[no-untyped-def]
+def _unit_responses(frames, half_lengths, first, last, bearings, travel, poses, walk, mount, variances):  # type: ignore[no-untyped-def]
     """Return the changes of offset and heading of each segment by a unit of each error.
 
     By each step of the heading (n, 2, m), radians, by the component n'b (n, 2) of the position, and by the relative
     error c (n, 2) of the speed. All beams from the `first` to the `last` one of a segment count as beams on it.
 
-    frames          (n, 3) of the segments in the base's frame
-    travel          (p,) metres from the middle of the sweep, negative before it
-    poses           (p, 3) of the base
-    interval, part  (p,) the step that each beam is in, and how much of it is over
-    of_fit          (m,) share of each step in the middle of the fitted parabola
-    variances       of range and bearing of a ray
+    frames     (n, 3) of the segments in the base's frame
+    travel     (p,) metres from the middle of the sweep, negative before it
+    poses      (p, 3) of the base
+    walk       (p,) the step that each beam is in, (p,) how much of it is over, and (m,) the share of each step in the
+               middle of the fitted parabola
+    variances  of range and bearing of a ray
     """
+    interval, part, of_fit = walk
     steps = len(of_fit)
     turns, shifts, speeds = np.zeros((len(frames), 2, steps)), np.zeros((len(frames), 2)), np.zeros((len(frames), 2))
     count = len(bearings)
