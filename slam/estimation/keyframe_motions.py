@@ -49,20 +49,19 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
 def point_motions_of(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> list[PointMotion]:
     """Return the pose of a scan relative to old keyframes nearby, by its points that are on no known wall.
 
-    It is measured relative to the oldest one by the surfaces that this one has seen, and relative to the latest one by
-    all others. Relative to the oldest one they would count the errors of all keyframes since as measured.
+    It is measured relative to the oldest one by the surfaces that this one has seen, and relative to later ones by the
+    others. Relative to the oldest one they would count the errors of all keyframes since as measured; relative to the
+    latest one, those that were seen long ago would not hold the drift since then.
     """
     field, registration = state.local_field, tracking.registration
-    references, parts = field.references(state.pose), [registration.point_information]
-    if len(references) > 1:
-        oldest, pose = references[0]
-        points = surface_points(scan.features.points.xy, scan.features.segments, POINT_SPACING)
-        relative = se2.between(pose, registration.point_pose)
-        parts = list(split_information(parts[0], field.points(oldest), points, relative))
-    return [
-        _point_motion(state, scan, keyframe, se2.between(pose, registration.point_pose), information)
-        for (keyframe, pose), information in zip(references, parts, strict=False)
-    ]
+    references = field.references(state.pose)
+    if not references:
+        return []
+    points = surface_points(scan.features.points.xy, scan.features.segments, POINT_SPACING)
+    relatives = [se2.between(pose, registration.point_pose) for _, pose in references]
+    of_references = [field.points(keyframe) for keyframe, _ in references]
+    parts = split_information(registration.point_information, of_references, points, relatives)
+    return [_point_motion(state, scan, references[row][0], relatives[row], part) for row, part in parts]
 
 
 def point_motion_by(state: SlamState, scan: ProcessedScan, match: PointMatch, keyframe: int) -> PointMotion:

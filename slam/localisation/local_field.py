@@ -195,16 +195,17 @@ class LocalField:
         self._outdated = True
 
     def references(self, pose: se2.Pose) -> list[tuple[int, se2.Pose]]:
-        """Return the oldest and the latest keyframe near a pose whose points are in the field, and their poses in it.
+        """Return some keyframes near a pose whose points are in the field, the oldest one first, and their poses in it.
 
-        They may be the same one, and there may be none.
+        After the oldest one, each is the one in the middle of those since the one before, up to the latest one: few of
+        many, among which is one that is about as old as any. There may be none.
         """
         near = np.flatnonzero(np.hypot(*(self._inserted_poses[:, :2] - pose[:2]).T) < REFERENCE_DISTANCE)
-        if not len(near):
-            return []
-        numbers = self._inserted[near]
-        rows = dict.fromkeys([int(near[numbers.argmin()]), int(near[numbers.argmax()])])
-        return [(int(self._inserted[row]), self._inserted_poses[row]) for row in rows]
+        by_age, chosen, first = near[np.argsort(self._inserted[near])], list[int](), 0
+        while first < len(by_age):
+            chosen.append(int(by_age[first]))
+            first += max(1, (len(by_age) - first) // 2)
+        return [(int(self._inserted[row]), self._inserted_poses[row]) for row in chosen]
 
     def nearest_missing(self, poses: Floats, keyframe: int, connected: NDArray[np.bool_]) -> int | None:
         """Return the keyframe nearest to another one, within REFERENCE_DISTANCE, whose points are not in the field.

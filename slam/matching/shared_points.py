@@ -9,6 +9,7 @@ robot. What they seem to show of its motion is left out.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -28,24 +29,33 @@ SHARED, NEW, MOVED = 0, 1, 2
 
 
 def split_information(
-    information: Floats, reference: Floats, points: Floats, relative: se2.Pose
-) -> tuple[Floats, Floats]:
-    """Return the information of a match (3, 3) from surfaces that a reference has seen as well, and from new ones.
+    information: Floats, references: Sequence[Floats], points: Floats, relatives: Sequence[se2.Pose]
+) -> list[tuple[int, Floats]]:
+    """Return the information of a match (3, 3) relative to those of several references that it measures, by row.
+
+    Surfaces that the oldest reference has seen count relative to this one. Those that are left count relative to the
+    next one if it has seen at least half of them, and so on; what is left in the end, relative to the latest one. A
+    reference for each few points would only make the graph larger.
 
     With the information A of all points of the scan and B of some of them, the part of M that is from these is
     M^(1/2) A^(-1/2) B A^(-1/2) M^(1/2), with symmetric roots: M may be from some of the points only.
 
     information  M, of the scan's pose in its own frame
-    reference    (p, 4) points of the reference with their normals, in its frame
+    references   (p, 4) points of each reference with their normals, in its frame, the oldest one first
     points       (q, 4) those of the scan, in its frame
-    relative     pose of the scan in the frame of the reference
+    relatives    pose of the scan in the frame of each reference
     """
-    whole, kinds = point_information(points), _compare(reference, points, relative)
+    whole, left, parts = point_information(points), points, list[tuple[int, Floats]]()
     scales, directions = np.linalg.eigh(whole + CONDITIONING * (1.0 + np.trace(whole)) * np.eye(3))
     values, vectors = np.linalg.eigh(information)
     factor = (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T @ (directions / np.sqrt(scales)) @ directions.T
-    shared, new = (factor @ point_information(points[kinds == kind]) @ factor.T for kind in (SHARED, NEW))
-    return shared, new
+    for row in range(len(references) - 1):
+        kinds = _compare(references[row], left, relatives[row])
+        if row == 0 or 2 * np.count_nonzero(kinds == SHARED) >= len(left):
+            parts.append((row, left[kinds == SHARED]))
+            left = left[kinds == NEW]
+    parts.append((len(references) - 1, left))
+    return [(row, factor @ point_information(part) @ factor.T) for row, part in parts if len(part)]
 
 
 @compiled

@@ -198,13 +198,17 @@ def test_restored_field_continues_as_the_saved_one() -> None:
     assert list(restored.inserted) == list(field.inserted)
 
 
-def test_references_are_the_oldest_and_the_latest_keyframe_nearby() -> None:
+def test_references_are_keyframes_nearby_from_the_oldest_to_the_latest_one() -> None:
     poses, field = straight_drive(30), LocalField()
     drive(field, poses)
-    (oldest, at_oldest), (latest, at_latest) = field.references(poses[-1])
+    references = field.references(poses[-1])
+    oldest, *later, latest = (keyframe for keyframe, _ in references)
     assert latest == 29
     assert STEP * (latest - oldest) == REFERENCE_DISTANCE - STEP
-    np.testing.assert_array_equal([at_oldest, at_latest], poses[[oldest, latest]])
+    assert later == sorted(later)
+    assert abs(later[0] - (oldest + latest) / 2) <= 1
+    assert len(references) < 3 + np.log2(REFERENCE_DISTANCE / STEP)
+    np.testing.assert_array_equal([pose for _, pose in references], poses[[keyframe for keyframe, _ in references]])
     ((alone, _),) = field.references(poses[-1] + [REFERENCE_DISTANCE - 0.5 * STEP, 0.0, 0.0])
     assert alone == latest
     assert not field.references(poses[-1] + [REFERENCE_DISTANCE, 0.0, 0.0])

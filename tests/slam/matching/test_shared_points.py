@@ -29,34 +29,62 @@ def seen_from(x: float, reach: float, *doors: float) -> Floats:
     return corridor(reach, *(door - x for door in doors))
 
 
-def shares(reference: Floats, scan: Floats, x: float) -> Floats:
-    """Return the shares (3,) of the information along, across and of the heading that a reference has seen."""
+def shares(scan: Floats, x: float, *references: tuple[float, Floats]) -> list[Floats]:
+    """Return for each reference the shares (3,) of the information along, across and of the heading.
+
+    scan        seen from x
+    references  x from where they were seen, and their points
+    """
     information = point_information(scan)
-    shared, rest = split_information(information, reference, scan, np.array([x, 0.0, 0.0]))
-    np.testing.assert_allclose(shared + rest, information, rtol=1e-9, atol=1e-6 * np.trace(information))
-    assert min(np.linalg.eigvalsh(shared)[0], np.linalg.eigvalsh(rest)[0]) > -1e-6 * np.trace(information)
-    return np.diag(shared) / np.diag(information)
+    relatives = [np.array([x - at, 0.0, 0.0]) for at, _ in references]
+    parts = dict(split_information(information, [reference for _, reference in references], scan, relatives))
+    np.testing.assert_allclose(sum(parts.values()), information, rtol=1e-9, atol=1e-6 * np.trace(information))
+    assert min(np.linalg.eigvalsh(part)[0] for part in parts.values()) > -1e-6 * np.trace(information)
+    return [np.diag(parts.get(row, np.zeros((3, 3)))) / np.diag(information) for row in range(len(references))]
 
 
 def test_all_information_in_a_room_is_from_surfaces_that_both_have_seen() -> None:
     room = np.concatenate([corridor(3.0), surface((3.0, -1.0), (3.0, 1.0), BACK)])
-    assert (shares(room, room - [0.5, 0.0, 0.0, 0.0], 0.5) > 0.999).all()
+    scan = room - [0.5, 0.0, 0.0, 0.0]
+    oldest, latest = shares(scan, 0.5, (0.0, room), (0.5, scan))
+    assert (oldest > 0.999).all()
+    assert not latest.any()
 
 
 def test_the_place_along_a_corridor_is_measured_by_those_that_have_seen_its_doors() -> None:
     doors = 2.0, 8.0
     scan = seen_from(4.0, 6.0, *doors[1:])  # the first one is behind its jambs
-    along, across, _ = shares(seen_from(0.0, 6.0, *doors), scan, 4.0)
+    (along, across, _), latest = shares(scan, 4.0, (0.0, seen_from(0.0, 6.0, *doors)), (4.0, scan))
     assert along < 1e-3
     assert across > 0.6
-    along, across, _ = shares(seen_from(3.0, 6.0, *doors), scan, 1.0)
+    assert latest[0] > 0.99
+    (along, across, _), _ = shares(scan, 4.0, (3.0, seen_from(3.0, 6.0, *doors)), (4.0, scan))
     assert min(along, across) > 0.9
+
+
+def test_surfaces_that_came_into_view_later_hold_what_has_drifted_since_then() -> None:
+    doors = 2.0, 8.0
+    scan = seen_from(4.0, 6.0, *doors[1:])
+    passed = [(x, seen_from(x, 6.0, *doors)) for x in (0.0, 3.0, 3.5, 4.0)]
+    oldest, second, third, latest = shares(scan, 4.0, *passed)
+    assert oldest[1] > 0.6
+    assert second[0] > 0.9
+    assert max(third[0], latest[0]) < 1e-3
+
+
+def test_a_reference_has_seen_at_least_half_of_what_is_left() -> None:
+    scan, end = corridor(3.0), surface((3.0, -1.0), (3.0, 1.0), BACK)
+    left, right = scan[scan[:, 1] > 0.0], scan[scan[:, 1] < 0.0]
+    oldest, second, latest = shares(np.concatenate([scan, end]), 0.0, (0.0, left), (0.0, end), (0.0, right))
+    assert oldest[1] > 0.4
+    assert not second.any()
+    assert latest[0] > 0.99
 
 
 def test_the_other_side_of_a_wall_is_another_surface() -> None:
     scan, reference = surface((2.0, -1.0), (2.0, 1.0), BACK), surface((2.1, -1.0), (2.1, 1.0), (1.0, 0.0))
     scan, reference = (np.concatenate([corridor(1.9), wall]) for wall in (scan, reference))
-    assert shares(reference, scan, 0.0)[0] < 1e-3
+    assert shares(scan, 0.0, (0.0, reference), (0.0, scan))[0][0] < 1e-3
 
 
 def test_what_has_moved_shows_nothing() -> None:
@@ -64,13 +92,11 @@ def test_what_has_moved_shows_nothing() -> None:
     person, walls = surface((1.5, 0.0), (1.5, 0.4), BACK), corridor(2.9)
     scan = np.concatenate([walls, person])
     information = point_information(scan)
-    parts = split_information(information, np.concatenate([walls, end]), scan, np.zeros(3))
-    along, across, _ = np.diag(sum(parts)) / np.diag(information)
+    parts = dict(split_information(information, [np.concatenate([walls, end]), scan], scan, [np.zeros(3)] * 2))
+    along, across, _ = np.diag(sum(parts.values())) / np.diag(information)
     assert along < 1e-3
     assert across > 0.99
 
 
 def test_a_scan_without_points_has_no_information() -> None:
-    shared, rest = split_information(np.zeros((3, 3)), corridor(3.0), np.zeros((0, 4)), np.zeros(3))
-    assert not shared.any()
-    assert not rest.any()
+    assert not split_information(np.zeros((3, 3)), [corridor(3.0)] * 2, np.zeros((0, 4)), [np.zeros(3)] * 2)
