@@ -121,7 +121,9 @@ class RrdWriter:
         """
         now, row = time.monotonic(), _Row(archetype, components)
         key = entity, archetype.__name__, KEYFRAME in self._now
-        batch = self._batches.setdefault(key, _Batch(now, now, max_age))
+        batch = self._batches.get(key)
+        if batch is None:
+            batch = self._batches[key] = _Batch(now, now, max_age)
         batch.rows.append(row)
         batch.times.append(self._now)
         self._remember(entity, row)
@@ -143,8 +145,9 @@ class RrdWriter:
         """Keep a row of a keyframe for the next steps; a text log consists of all its rows."""
         if KEYFRAME not in self._now:
             return
-        key: tuple[str, ...] = entity, row.archetype.__name__ if isinstance(row, _Row) else type(row).__name__
-        if isinstance(row, rr.TextLog):
+        archetype = row.archetype if isinstance(row, _Row) else type(row)
+        key: tuple[str, ...] = entity, archetype.__name__
+        if archetype is rr.TextLog:
             self._texts = (self._texts + 1) % MAX_STEP_TEXTS
             key = *key, str(self._texts)
         for changed in self._changed.values():
