@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 
 def chi_square_tail(squared: float, dof: int) -> float:
@@ -19,3 +20,14 @@ def chi_square_tail(squared: float, dof: int) -> float:
     for k in range(2 - dof % 2, dof, 2):
         tail += math.exp(0.5 * k * math.log(half) - half - math.lgamma(0.5 * k + 1.0))
     return tail
+
+
+@cache
+def chi_square_gate(probability: float, dof: int) -> float:
+    """Return the value that a chi-square variable with `dof` degrees of freedom exceeds with a probability, 0 to 1."""
+    low, high = 0.0, 1.0
+    while chi_square_tail(high, dof) > probability:
+        high *= 2.0
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if chi_square_tail(middle, dof) > probability else (low, middle)
+    return high
