@@ -85,6 +85,7 @@ def warm_up() -> None:
         slam.add(message)
     _recognise(slam.slam_state)
     _check_loop(slam.slam_state)
+    slam.slam_state.mapper.graph.residuals()  # for the review log
     _update_free_space()
     _search_submap()
     _search_poses()
@@ -136,6 +137,7 @@ def compile_estimation() -> None:
     state = estimator.state
     _recognise(state)
     _check_loop(state)
+    state.mapper.graph.residuals()
     converge(state.mapper)
     history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)

@@ -135,6 +135,17 @@ def robust_cost(forms, ends, measured, information, scales, values):  # type: ig
     return _robust_cost(forms, ends, measured, information, scales, values, axes_of(values), np.zeros(3))
 
 
+@compiled
+def squared_distances(forms, ends, measured, information, values):  # type: ignore[no-untyped-def]
+    """Return the squared Mahalanobis distance (f,) of each factor at `values` (n, 3), without robust kernels."""
+    axes, error, result = axes_of(values), np.zeros(3), np.empty(len(forms))
+    for k in range(len(forms)):
+        first, second = ends[k]
+        _error(forms[k], measured[k], values[first], values[second], axes[first], error)
+        result[k] = _squared(error, information[k])
+    return result
+
+
 @inlined
 def _robust_cost(forms, ends, measured, information, scales, values, axes, error):  # type: ignore[no-untyped-def]
     """Return twice the robust cost, given the unit vectors along all headings; `error` (3,) is overwritten."""

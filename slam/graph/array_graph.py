@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
-from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost
+from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost, squared_distances
 from .block_cholesky import Pattern, factorise, inverse_blocks, solve
 from .factors import CAUCHY_SCALES, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
@@ -211,6 +211,11 @@ class ArrayGraph:
     def cost(self, values: Floats, bias: float) -> float:
         """Return twice the robust cost at some values (n, 3)."""
         return float(robust_cost(*self._arrays(bias), values))
+
+    def squared_distances(self, values: Floats, bias: float) -> Floats:
+        """Return the squared Mahalanobis distance (f,) of each factor at some values (n, 3), without robust kernels."""
+        forms, ends, measured, information, _ = self._arrays(bias)
+        return np.asarray(squared_distances(forms, ends, measured, information, values))
 
     def joint_covariances(self, values: Floats, bias: float) -> list[Floats]:
         """Return the joint covariance (3 k, 3 k) of each group of k variables, with three components of each.

@@ -155,6 +155,13 @@ class IncrementalSolver:
             return 2.0 * float(self.isam.getFactorsUnsafe().error(values))
         return self.batch.arrays.cost(self.batch.arrays.values_of(values), self.batch.bias)
 
+    def squared_distances(self) -> Floats:
+        """Return the squared Mahalanobis distance (f,) of each factor at the estimate, in the order of
+        `sorted_factors`, without robust kernels."""
+        arrays = self.arrays()
+        values = arrays.values_of(self.estimate()) if self.batch is None else self.batch.estimate
+        return arrays.squared_distances(values, self.range_bias.metres)
+
     # --- solving
 
     def sorted_factors(self) -> list[Factor]:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.segments import Floats
-
-if TYPE_CHECKING:
-    import gtsam
 
 # Kinds of residuals. GAUGE_PRIOR is the prior that fixes a wall's frame along the wall: a convention, no measurement.
 PRIOR, ODOMETRY, WALL, CORNER = "prior", "odometry", "wall", "corner"
@@ -28,19 +24,6 @@ _ENDS = {
     WALL_EQUALITY: "LL",
     GAUGE_PRIOR: "xL",
 }
-_KINDS = {
-    ("xx", False): ODOMETRY,
-    ("xx", True): SUBMAP_MATCH,
-    ("px", True): SCAN_MATCH,
-    ("xp", False): POINT_MAP,
-    ("xl", False): GAUGE_PRIOR,
-    ("xl", True): WALL,
-    ("xc", True): CORNER,
-    ("ll", False): WALL_EQUALITY,
-    ("l", False): PIN,
-    ("l", True): PLAN,
-}
-"""Kinds by the characters of a factor's variables, and by whether it is robust."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,51 +63,3 @@ class Residuals:
         if self.kind[index] in (PLAN, PIN):
             return f"L{first}"
         return f"x{first}" if ends is None else f"{ends[0]}{first} - {ends[1]}{second}"
-
-
-def residuals_of(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Residuals:
-    """Return the residuals of all factors at `values`; removed factors, which leave empty slots, are skipped."""
-    import gtsam  # only here: events hold residuals, and viewers start in half the time without GTSAM
-
-    from .factors import CAUCHY_SCALE, MOTION_CAUCHY_SCALE, WALL_CAUCHY_SCALE
-
-    cauchy_scales = {
-        SCAN_MATCH: MOTION_CAUCHY_SCALE,
-        SUBMAP_MATCH: MOTION_CAUCHY_SCALE,
-        WALL: WALL_CAUCHY_SCALE,
-        CORNER: CAUCHY_SCALE,
-        PLAN: CAUCHY_SCALE,
-    }
-    kinds: list[str] = []
-    between: list[tuple[int, int]] = []
-    squared: list[float] = []
-    scale: list[float] = []
-    dof: list[int] = []
-    for factor in (factors.at(number) for number in range(factors.size())):
-        if not isinstance(factor, gtsam.NoiseModelFactor):
-            continue
-        ends = [gtsam.Symbol(key) for key in list(factor.keys())]
-        noise = factor.noiseModel()
-        robust = isinstance(noise, gtsam.noiseModel.Robust)
-        gaussian = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
-        # GTSAM's whitened error of a robust factor contains the square root of its weight, so it is whitened here.
-        error = gaussian.whiten(factor.unwhitenedError(values))
-        kind = _KINDS.get(("".join(chr(end.chr()) for end in ends), robust), PRIOR)
-        kinds.append(kind)
-        between.append((ends[0].index(), ends[1].index() if len(ends) > 1 else -1))
-        squared.append(float(error @ error))
-        scale.append(cauchy_scales.get(kind, np.inf) if robust else np.inf)
-        dof.append(_degrees_of_freedom(kind, factor.dim()))
-    pairs = np.array(between, dtype=np.int64).reshape(-1, 2)
-    distance = np.array(squared)
-    weight = 1.0 / (1.0 + distance / np.array(scale) ** 2)
-    return Residuals(tuple(kinds), pairs, distance, np.array(dof, dtype=np.int64), weight)
-
-
-def _degrees_of_freedom(kind: str, dimension: int) -> int:
-    """Return the number of directions of the error that have information.
-
-    A wall's factor measures its heading or its offset, a gauge prior the position along it, a wall equality both
-    heading and offset, as do a plan and a pin of a wall; GTSAM gives all of them the dimension 3.
-    """
-    return {WALL: 1, WALL_EQUALITY: 2, GAUGE_PRIOR: 1, PLAN: 2, PIN: 2}.get(kind, dimension)

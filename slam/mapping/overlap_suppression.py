@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,12 +75,19 @@ def _shared_cells(landmarks: Landmarks, wall: int, other: int) -> frozenset[int]
     cells = np.fromiter(landmarks.covered[wall], dtype=np.int64, count=len(landmarks.covered[wall]))
     middles = np.column_stack([WALL_CELL * (cells + 0.5), np.zeros(len(cells))])
     in_other = se2.transform(se2.between(frames[other], frames[wall]), middles).reshape(-1, 2)
-    also = np.isin(np.floor(in_other[:, 0] / WALL_CELL), list(landmarks.covered[other]))
-    return _long_runs(frozenset(cells[also & (np.abs(in_other[:, 1]) < MAX_DEPTH)].tolist()))
+    close = np.abs(in_other[:, 1]) < MAX_DEPTH
+    covered = landmarks.covered[other]
+    places = np.floor(in_other[close, 0] / WALL_CELL).tolist()
+    return _long_runs(cell for cell, place in zip(cells[close].tolist(), places, strict=True) if place in covered)
 
 
-def _long_runs(cells: frozenset[int]) -> frozenset[int]:
+def _long_runs(cells: Iterable[int]) -> frozenset[int]:
     """Return the cells that belong to a run of at least MIN_RUN_CELLS consecutive ones."""
-    ordered = np.array(sorted(cells), dtype=np.int64)
-    runs = np.split(ordered, np.flatnonzero(np.diff(ordered) > 1) + 1)
-    return frozenset(cell for run in runs if len(run) >= MIN_RUN_CELLS for cell in run.tolist())
+    found: list[int] = []
+    run: list[int] = []
+    for cell in sorted(cells):
+        if run and cell > run[-1] + 1:
+            found += run if len(run) >= MIN_RUN_CELLS else []
+            run = []
+        run.append(cell)
+    return frozenset(found + run if len(run) >= MIN_RUN_CELLS else found)

@@ -146,6 +146,10 @@ class EventLog:
             case _:
                 assert_never(event)
 
+    def write_waiting(self) -> None:
+        """Write rows that have waited long enough for others to be written together with."""
+        self._writer.send_due()
+
     def note(self, text: str) -> None:
         """Log a remark on the log itself, at its end."""
         self._at_last_keyframe(self._stamp)

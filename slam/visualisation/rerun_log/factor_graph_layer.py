@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from scipy.special import chdtr
 
 from drivers import se2
 
 from ...events import GraphInspected, KeyframeAdded
 from ...geometry.segments import Floats, Integers
+from ...graph.chi_square import chi_square_tail
 from ...graph.residuals import CORNER, GAUGE_PRIOR, MEASUREMENTS, ODOMETRY, PRIOR, WALL, Residuals
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
@@ -93,12 +93,13 @@ class FactorGraphLayer:
                     shade = colours.NEW if new else colours.MATCHED
                     drawn.append((f"{matches.prefix}{landmark}", f"{here} - {label}", position, shade))
         ends = np.array([[event.pose[:2], position] for _, _, position, _ in drawn]).reshape(-1, 2, 2)
-        strips = rr.LineStrips3D.from_fields(
+        self._writer.log_batched(
+            "world/factors/keyframe",
+            rr.LineStrips3D,
             strips=to_3d(ends, Height.LINK),
             colors=[shade for *_, shade in drawn],
             labels=[label for _, label, *_ in drawn],
         )
-        self._writer.log("world/factors/keyframe", strips)
         self._log_graph(here, event.pose[:2], {name: position for name, _, position, _ in drawn})
 
     def _log_graph(self, here: str, centre: Floats, neighbours: dict[str, Floats]) -> None:
@@ -106,15 +107,17 @@ class FactorGraphLayer:
         merged_by_loop = {f"L{kept}" for *_, kept, loop in self._merged if loop}
         nodes = {here: centre} | neighbours
         shades = [colours.CLOSURE if name in merged_by_loop else _NODE_COLOURS[name[0]] for name in nodes]
-        drawn = rr.GraphNodes(
-            list(nodes),
-            positions=[(position - centre) * [GRAPH_SCALE, -GRAPH_SCALE] for position in nodes.values()],
+        self._writer.log_batched(
+            "graph",
+            rr.GraphNodes,
+            node_ids=list(nodes),
+            positions=(np.array(list(nodes.values())) - centre) * [GRAPH_SCALE, -GRAPH_SCALE],
             colors=shades,
             labels=list(nodes),
             radii=[4.0] * len(nodes),
         )
-        self._writer.log("graph", drawn)
-        self._writer.log("graph", rr.GraphEdges([(here, name) for name in neighbours], graph_type="undirected"))
+        edges = np.array([(here, name) for name in neighbours], dtype=np.str_).reshape(-1, 2)
+        self._writer.log_batched("graph", rr.GraphEdges, edges=edges, graph_type=["undirected"])
 
     def _log_histogram(self, residuals: Residuals) -> None:
         """Log how many measurements deviate by how many sigmas, and how many would if the noise is as modelled."""
@@ -125,7 +128,8 @@ class FactorGraphLayer:
         observed, _ = np.histogram(np.sqrt(squared / dof), limits)
         expected = np.zeros(BINS)
         for freedom, count in zip(*np.unique(dof, return_counts=True), strict=True):
-            expected += count * np.diff(chdtr(freedom, freedom * limits**2))
+            tails = [chi_square_tail(freedom * limit**2, int(freedom)) for limit in limits.tolist()]
+            expected -= count * np.diff(tails)
         middles, total = BIN * (np.arange(BINS) + 0.5), max(len(squared), 1)
         for place, (name, counts, shade) in enumerate(
             (("observed", observed, colours.ESTIMATE), ("expected", expected, colours.ODOMETRY))

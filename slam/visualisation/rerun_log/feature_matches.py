@@ -32,7 +32,8 @@ class FeatureMatches:
     @classmethod
     def of_segments(cls, event: KeyframeAdded) -> FeatureMatches:
         """Return the association of the segments with walls."""
-        new = np.isin(event.wall_match, event.new_walls)
+        new_walls = set(event.new_walls.tolist())  # `isin` takes ten times as long
+        new = np.array([wall in new_walls for wall in event.wall_match.tolist()], dtype=bool)
         return cls("L", event.wall_match, event.wall_gate, event.wall_nearest, new)
 
     @classmethod

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -13,12 +11,13 @@ import rerun as rr
 from drivers import se2
 
 from ...events import KeyframeAdded, Relocalised
+from ...geometry.segments import Floats
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours, documents
 from .colours import Colour
 from .feature_matches import FeatureMatches
 from .map_layer import FILLED
-from .rrd_writer import RrdWriter
+from .rrd_writer import MAX_BATCH_AGE, RrdWriter
 from .shapes import SCAN_STEPS, Float32s, Height, corner_links, ellipses, segment_ends, to_3d, wall_links
 from .time_series import TimeSeries
 
@@ -56,14 +55,17 @@ class KeyframeLayer:
 
     def move_robot(self, pose: se2.Pose) -> None:
         """Move the robot between keyframes, without the scan of the last one."""
-        self._writer.log_batched("world/robot", pose, _transform_columns)
+        translation, rotation = _transform(pose)
+        self._writer.log_batched(
+            "world/robot", rr.Transform3D, translation=translation, quaternion=rotation, max_age=MAX_BATCH_AGE
+        )
 
     def place(self, pose: se2.Pose) -> None:
         """Move the robot and the last keyframe's scan to a pose in the map."""
-        x, y = (float(value) for value in pose[:2])
-        self._writer.log("world/robot", _transform(pose))
-        self._writer.log("world/here", rr.Transform3D(translation=[x, y, 0.0]))
-        self._writer.log("world/keyframe", _transform(pose))
+        translation, rotation = _transform(pose)
+        for entity in ("world/robot", "world/keyframe"):
+            self._writer.log_batched(entity, rr.Transform3D, translation=translation, quaternion=rotation)
+        self._writer.log_batched("world/here", rr.Transform3D, translation=translation)
 
     def correct(self, pose: se2.Pose, lines: MapWalls, corners: MapCorners) -> None:
         """Move the last keyframe with its features to its pose in a corrected map."""
@@ -76,7 +78,7 @@ class KeyframeLayer:
         """Remove the last keyframe, which is in the map no more, for example as a lost robot was found again."""
         self._event = None
         for entity in ("world/keyframe", "world/features"):
-            self._writer.log(entity, rr.Clear(recursive=True))
+            self._writer.clear(entity)
 
     def log_relocalisation(self, event: Relocalised, keyframe: int) -> None:
         """Draw the robot's outline at the pose of a relocalisation after a keyframe.
@@ -102,7 +104,7 @@ class KeyframeLayer:
         self._log_features(event, lines, corners)
         self._log_time_series(event, overlap_ratio, position_sigma, heading_sigma)
         report = documents.keyframe(event, position_sigma, heading_sigma)
-        self._writer.log("keyframe", rr.TextDocument(report, media_type=rr.MediaType.MARKDOWN))
+        self._writer.log_batched("keyframe", rr.TextDocument, text=[report], media_type=[rr.MediaType.MARKDOWN])
         return position_sigma
 
     def _log_pose(self, event: KeyframeAdded) -> tuple[float, float]:
@@ -113,10 +115,11 @@ class KeyframeLayer:
         self.place(event.pose)
         covariance = event.pose_covariance
         centres, half_sizes, quaternions = ellipses(np.zeros((1, 2)), covariance[None, :2, :2], Height.SIGMA)
-        ellipse = rr.Ellipsoids3D.from_fields(centers=centres, half_sizes=half_sizes, quaternions=quaternions)
-        points = rr.Points3D.from_fields(positions=to_3d(event.points, Height.SCAN, SCAN_STEPS))
-        self._writer.log("world/keyframe/sigma", ellipse)
-        self._writer.log("world/keyframe/scan", points)
+        self._writer.log_batched(
+            "world/keyframe/sigma", rr.Ellipsoids3D, centers=centres, half_sizes=half_sizes, quaternions=quaternions
+        )
+        points = to_3d(event.points, Height.SCAN, SCAN_STEPS)
+        self._writer.log_batched("world/keyframe/scan", rr.Points3D, positions=points)
         if not np.isfinite(covariance).all():
             return math.nan, math.nan
         variance = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
@@ -126,14 +129,20 @@ class KeyframeLayer:
         ends = segment_ends(event.segments, event.pose)
         position = se2.transform(event.pose, event.corners.position.reshape(-1, 2))
         walls, points = FeatureMatches.of_segments(event), FeatureMatches.of_corners(event)
-        segments = rr.LineStrips3D.from_fields(
-            strips=to_3d(ends, Height.FEATURE), colors=_match_colours(walls), labels=walls.labels()
+        self._writer.log_batched(
+            "world/features/segments",
+            rr.LineStrips3D,
+            strips=to_3d(ends, Height.FEATURE),
+            colors=_match_colours(walls),
+            labels=walls.labels(),
         )
-        dots = rr.Points3D.from_fields(
-            positions=to_3d(position, Height.FEATURE), colors=_match_colours(points), labels=points.labels()
+        self._writer.log_batched(
+            "world/features/corners",
+            rr.Points3D,
+            positions=to_3d(position, Height.FEATURE),
+            colors=_match_colours(points),
+            labels=points.labels(),
         )
-        self._writer.log("world/features/segments", segments)
-        self._writer.log("world/features/corners", dots)
         for name, of_walls, of_points in (
             ("matched", walls.matched, points.matched),
             ("gated_out", walls.gated_out, points.gated_out),
@@ -149,7 +158,7 @@ class KeyframeLayer:
     def _log_strips(self, entity: str, strips: Float32s) -> None:
         """Log strips; an empty row only after one that was not empty."""
         if len(strips) or entity in self._non_empty:
-            self._writer.log(entity, rr.LineStrips3D.from_fields(strips=strips))
+            self._writer.log_batched(entity, rr.LineStrips3D, strips=strips)
         (self._non_empty.add if len(strips) else self._non_empty.discard)(entity)
 
     def _log_time_series(
@@ -168,17 +177,10 @@ class KeyframeLayer:
         self._time_series.log("counts", event.counts)
 
 
-def _transform(pose: se2.Pose) -> rr.Transform3D:
+def _transform(pose: se2.Pose) -> tuple[Floats, Floats]:
+    """Return translation (1, 3) in metres and quaternion xyzw (1, 4) of a pose [x, y, heading]."""
     x, y, heading = (float(value) for value in pose)
-    rotation = rr.Quaternion(xyzw=[0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)])
-    return rr.Transform3D(translation=[x, y, 0.0], quaternion=rotation)
-
-
-def _transform_columns(poses: list[se2.Pose]) -> Iterable[Any]:
-    x, y, heading = np.array(poses).T
-    zeros = np.zeros(len(x))
-    rotations = np.stack([zeros, zeros, np.sin(heading / 2), np.cos(heading / 2)], axis=-1)
-    return rr.Transform3D.columns(translation=np.stack([x, y, zeros], axis=-1), quaternion=rotations)
+    return np.array([[x, y, 0.0]]), np.array([[0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)]])
 
 
 def _match_colours(matches: FeatureMatches) -> list[Colour]:

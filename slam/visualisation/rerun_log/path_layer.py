@@ -38,6 +38,9 @@ class PathLayer:
         self._sigmas: dict[int, float] = {}  # of the keyframes' positions, metres
         dots = rr.Points3D.from_fields(radii=_DOT, show_labels=False)
         writer.log_static("world/path/keyframes", dots)
+        for name in ("estimate", "recent"):
+            style = rr.LineStrips3D.from_fields(colors=colours.ESTIMATE, radii=_THICK)
+            writer.log_static(f"world/path/{name}", style)
 
     def add_keyframe(self, index: int, pose: se2.Pose, odometry: se2.Pose, sigma: float) -> None:
         """Extend the estimated and the odometry path; `sigma` is the largest of the position, metres."""
@@ -78,7 +81,7 @@ class PathLayer:
 
     def _log_strip(self, name: str, poses: Floats) -> None:
         strips = [to_3d(piece, Height.ESTIMATE) for piece in driven_pieces(poses) if len(piece) > 1]
-        self._writer.log(f"world/path/{name}", rr.LineStrips3D(strips, colors=colours.ESTIMATE, radii=_THICK))
+        self._writer.log_batched(f"world/path/{name}", rr.LineStrips3D, strips=strips)
 
     def _log_blocks(self, name: str, path: GrowingPath, height: Height, colour: Colour) -> None:
         for number, points in path.changed_blocks():

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from queue import SimpleQueue
+from queue import Empty, SimpleQueue
 from types import TracebackType
 
 import numpy as np
@@ -73,7 +73,7 @@ class ReviewLog:
         """Open the log. Raises OutputError if `path` cannot be written."""
         # Rerun is imported only if a log is wanted.
         from .event_log import EventLog
-        from .rrd_writer import PART_SIZE
+        from .rrd_writer import FLUSH_PERIOD, PART_SIZE
 
         self.path = path
         self.thinned = 0  # events left out, or logged without points, while the log was busy
@@ -82,7 +82,7 @@ class ReviewLog:
         self.failures = 0  # events that could not be logged
         self.first_failure: str | None = None
         self._queue: SimpleQueue[Event | None] = SimpleQueue()
-        self._closed, self._complete = False, complete
+        self._closed, self._complete, self._idle_time = False, complete, FLUSH_PERIOD
         size = PART_SIZE if part_size is None else part_size
         self._log = EventLog(path, config, recording, versions or {}, server, size, seed)
         self._worker = threading.Thread(target=self._work, name="review log", daemon=True)
@@ -152,7 +152,7 @@ class ReviewLog:
         self.close()
 
     def _work(self) -> None:
-        while (event := self._queue.get()) is not None:
+        while (event := self._next_event()) is not None:
             with self._failures_counted(type(event).__name__):
                 self._log.write(event)
             self.unwritten += self._log.file_ended
@@ -160,6 +160,15 @@ class ReviewLog:
             if self.thinned:
                 self._log.note(f"logging could not keep up: {self.thinned} scans were left out")
             self._log.close()
+
+    def _next_event(self) -> Event | None:
+        """Wait for the next event, and write what was logged before."""
+        while True:
+            try:
+                return self._queue.get(timeout=self._idle_time)
+            except Empty:
+                with self._failures_counted("writing"):
+                    self._log.write_waiting()
 
     @contextmanager
     def _failures_counted(self, what: str) -> Iterator[None]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 from uuid import uuid4
@@ -13,6 +14,7 @@ from uuid import uuid4
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
 from ...errors import OutputError
 from ...io.disk_reserve import free_space
@@ -29,8 +31,9 @@ FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a l
 # Bytes after which another file is started: an hour of driving. Rerun keeps an index of the open file in memory, about
 # as large as the rows if these are few in each chunk, as in familiar places.
 PART_SIZE = 50_000_000
-# Rows written together, and seconds that a row waits for further rows of its entity. In memory, every chunk takes 1 kB
-# until the file ends: with few rows in each, the memory of a run grows faster. A killed run lacks the rows that wait.
+# Rows written together, and seconds that a row between keyframes or of a plot waits for further rows of its entity. In
+# memory, every chunk takes 1 kB until the file ends: with few rows in each, the memory of a run grows faster. A killed
+# run lacks the rows that wait.
 MAX_BATCH_ROWS, MAX_BATCH_AGE = 512, 30.0
 MAX_LIVE_BATCH_AGE = 1.0  # seconds that a row waits for further ones before viewers receive it
 MAX_STEP_TEXTS = 1000  # rows of the text log that a step of CANDIDATE or CLOSURE repeats; older ones are left out
@@ -42,7 +45,8 @@ MIN_FREE_SPACE = 4_000_000
 _logger = logging.getLogger(__name__)
 
 Archetype: TypeAlias = Any  # Rerun has no common type for loggable values
-ToColumns: TypeAlias = Callable[[list[Any]], Iterable[Any]]
+Values: TypeAlias = Sequence[Any] | NDArray[Any]
+"""Values of a component of a row."""
 
 
 class RrdWriter:
@@ -66,8 +70,9 @@ class RrdWriter:
         self._layout = layout
         self._static: dict[tuple[str, str], Archetype] = {}
         self._now: dict[str, int] = {}
-        self._batches: dict[str, _Batch] = {}
-        self._changed: dict[str, dict[tuple[str, ...], _LastRow]] = {CANDIDATE: {}, CLOSURE: {}}
+        self._stream_times: dict[str, int] = {}  # current time of the streams
+        self._batches: dict[_BatchKey, _Batch] = {}
+        self._changed: dict[str, dict[tuple[str, ...], Archetype | _Row]] = {CANDIDATE: {}, CLOSURE: {}}
         self._texts = 0  # rows of text logs so far, modulo MAX_STEP_TEXTS
         self._file = _open_stream(identity)
         self._live: rr.RecordingStream | None = None
@@ -100,32 +105,49 @@ class RrdWriter:
 
     def log(self, entity: str, row: Archetype) -> None:
         """Log a row at the current time."""
+        self._send_waiting(entity)
+        self._set_stream_times()
         for stream in self._streams:
             stream.log(entity, row)
-        self._remember(entity, _LastRow(row))
+        self._remember(entity, row)
 
-    def log_batched(self, entity: str, value: object, to_columns: ToColumns) -> None:
-        """Log a row together with later rows of its entity, at a tenth of the cost of single rows.
+    def log_batched(
+        self, entity: str, archetype: type[Archetype], *, max_age: float = FLUSH_PERIOD, **components: Values
+    ) -> None:
+        """Log a row of an archetype together with later rows of its entity, at a tenth of the cost of single rows.
 
-        `to_columns` converts a list of values to Rerun columns. All rows of an entity must have the same timelines.
+        All rows of an entity and archetype must have the same components. It is written after `max_age` seconds, or as
+        soon as another row of the entity is logged with `log`.
         """
-        now = time.monotonic()
-        batch = self._batches.setdefault(entity, _Batch(to_columns, now, now))
-        batch.values.append(value)
-        batch.times.append(self._now.copy())
-        self._remember(entity, _LastRow(value, to_columns))
-        if len(batch.values) == MAX_BATCH_ROWS or now - batch.started > MAX_BATCH_AGE:
-            self._send(entity, self._batches.pop(entity))
-        elif self._live is not None and now - batch.shown_at > MAX_LIVE_BATCH_AGE:
-            batch.shown_at = now
-            self._show(entity, batch)
+        now, row = time.monotonic(), _Row(archetype, components)
+        key = entity, archetype.__name__, KEYFRAME in self._now
+        batch = self._batches.get(key)
+        if batch is None:
+            batch = self._batches[key] = _Batch(now, now, max_age)
+        batch.rows.append(row)
+        batch.times.append(self._now)
+        self._remember(entity, row)
+        self._send_if_due(key, now)
 
-    def _remember(self, entity: str, row: _LastRow) -> None:
+    def clear(self, entity: str) -> None:
+        """Remove everything at and below an entity at the current time."""
+        for waiting in {waiting for waiting, *_ in self._batches if f"{waiting}/".startswith(f"{entity}/")}:
+            self._send_waiting(waiting)
+        self.log(entity, rr.Clear(recursive=True))
+
+    def send_due(self) -> None:
+        """Write the batched rows that have waited long enough."""
+        now = time.monotonic()
+        for key in list(self._batches):
+            self._send_if_due(key, now)
+
+    def _remember(self, entity: str, row: Archetype | _Row) -> None:
         """Keep a row of a keyframe for the next steps; a text log consists of all its rows."""
         if KEYFRAME not in self._now:
             return
-        key: tuple[str, ...] = entity, type(row.value).__name__
-        if isinstance(row.value, rr.TextLog):
+        archetype = row.archetype if isinstance(row, _Row) else type(row)
+        key: tuple[str, ...] = entity, archetype.__name__
+        if archetype is rr.TextLog:
             self._texts = (self._texts + 1) % MAX_STEP_TEXTS
             key = *key, str(self._texts)
         for changed in self._changed.values():
@@ -133,38 +155,50 @@ class RrdWriter:
             changed[key] = row
 
     def log_step(self, timeline: str, number: int) -> None:
-        """Log step `number` of CANDIDATE or CLOSURE: what has changed since its last step, as it is now.
-
-        Set the time before logging anything else.
-        """
+        """Log step `number` of CANDIDATE or CLOSURE: what has changed since its last step, as it is now."""
         changed, self._changed[timeline] = self._changed[timeline], {}
+        self._stream_times = {}
         for stream in self._streams:
-            for other in self._now:
+            for other in (SENSOR_TIME, KEYFRAME):
                 stream.disable_timeline(other)
             stream.set_time(timeline, sequence=number)
             for (entity, *_), row in changed.items():
-                if row.to_columns is None:
-                    stream.log(entity, row.value)
-                else:
+                if isinstance(row, _Row):
                     index = rr.TimeColumn(timeline, sequence=[number])
-                    stream.send_columns(entity, indexes=[index], columns=list(row.to_columns([row.value])))
+                    stream.send_columns(entity, indexes=[index], columns=_columns([row]))
+                else:
+                    stream.log(entity, row)
             stream.disable_timeline(timeline)
 
-    def _send(self, entity: str, batch: _Batch) -> None:
+    def _send_if_due(self, key: _BatchKey, now: float) -> None:
+        batch = self._batches[key]
+        if len(batch.rows) == MAX_BATCH_ROWS or now - batch.started > batch.max_age:
+            self._send(key)
+        elif self._live is not None and now - batch.shown_at > MAX_LIVE_BATCH_AGE:
+            batch.shown_at = now
+            self._show(key[0], batch)
+
+    def _send(self, key: _BatchKey) -> None:
         """Write a batch, and send viewers what they have not received of it."""
+        batch = self._batches.pop(key)
         if not self.file_ended:
-            batch.send(self._file, entity, 0)
-        self._show(entity, batch)
+            batch.send(self._file, key[0], 0)
+        self._show(key[0], batch)
 
     def _show(self, entity: str, batch: _Batch) -> None:
         """Send viewers the rows of a batch that they have not received."""
-        if self._live is not None and batch.shown < len(batch.values):
+        if self._live is not None and batch.shown < len(batch.rows):
             batch.send(self._live, entity, batch.shown)
-            batch.shown = len(batch.values)
+            batch.shown = len(batch.rows)
+
+    def _send_waiting(self, entity: str) -> None:
+        """Write the batched rows of an entity: of two rows with the same time, viewers show the one written last."""
+        for key in [key for key in self._batches if key[0] == entity]:
+            self._send(key)
 
     def _send_all(self) -> None:
-        for entity in list(self._batches):
-            self._send(entity, self._batches.pop(entity))
+        for key in list(self._batches):
+            self._send(key)
 
     def log_static(self, entity: str, row: Archetype) -> None:
         """Log a row that is valid at all times; it is repeated in every file."""
@@ -176,8 +210,15 @@ class RrdWriter:
         """Set the time of the next rows: the sensor time (seconds) and the keyframe, None between keyframes."""
         nanoseconds = round(1e9 * stamp)
         self._now = {SENSOR_TIME: nanoseconds} | ({} if keyframe is None else {KEYFRAME: keyframe})
+
+    def _set_stream_times(self) -> None:
+        """Set the current time of the streams, if it has changed."""
+        if self._stream_times is self._now:
+            return
+        self._stream_times = self._now
+        nanoseconds, keyframe = self._now[SENSOR_TIME], self._now.get(KEYFRAME)
         for stream in self._streams:
-            if stamp > MIN_EPOCH_STAMP:
+            if nanoseconds > 1e9 * MIN_EPOCH_STAMP:
                 stream.set_time(SENSOR_TIME, timestamp=np.datetime64(nanoseconds, "ns"))
             else:
                 stream.set_time(SENSOR_TIME, duration=np.timedelta64(nanoseconds, "ns"))
@@ -230,12 +271,16 @@ class RrdWriter:
             _finish(stream)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LastRow:
-    """Last row of an entity: a row to log, or a value that `to_columns` converts."""
+_BatchKey: TypeAlias = tuple[str, str, bool]
+"""Entity, archetype, and whether the rows are those of keyframes."""
 
-    value: Any
-    to_columns: ToColumns | None = None
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Row:
+    """A row of a batch."""
+
+    archetype: type[Archetype]
+    components: Mapping[str, Values]
 
 
 @dataclass(slots=True, eq=False)
@@ -244,20 +289,33 @@ class _Batch:
 
     started   time of the first row, on the clock of time.monotonic
     shown_at  time when viewers have received rows last, at first `started`
+    max_age   seconds that the first row waits
     shown     number of rows that viewers have received
     """
 
-    to_columns: ToColumns
     started: float
     shown_at: float
-    values: list[Any] = field(default_factory=list)
+    max_age: float
+    rows: list[_Row] = field(default_factory=list)
     times: list[dict[str, int]] = field(default_factory=list)
     shown: int = 0
 
     def send(self, stream: rr.RecordingStream, entity: str, first: int) -> None:
         """Send the rows from number `first` on."""
         indexes = [_time_column(name, [row[name] for row in self.times[first:]]) for name in self.times[0]]
-        stream.send_columns(entity, indexes=indexes, columns=list(self.to_columns(self.values[first:])))
+        stream.send_columns(entity, indexes=indexes, columns=_columns(self.rows[first:]))
+
+
+def _columns(rows: Sequence[_Row]) -> list[rr.ComponentColumn]:
+    """Return the columns of rows that have the same archetype and components."""
+    return list(chain.from_iterable(_column(rows, name) for name in rows[0].components))
+
+
+def _column(rows: Sequence[_Row], name: str) -> Iterator[rr.ComponentColumn]:
+    values = [row.components[name] for row in rows]
+    arrays = all(isinstance(value, np.ndarray) for value in values)
+    joined = np.concatenate(values) if arrays else list(chain.from_iterable(values))
+    yield from rows[0].archetype.columns(**{name: joined}).partition([len(value) for value in values])
 
 
 def _time_column(timeline: str, values: list[int]) -> rr.TimeColumn:

@@ -45,7 +45,7 @@ class ScanLayer:
         self._last[index] = pose
         self._last.pop(index - LAST_SCANS, None)
         positions = to_3d(se2.transform(pose, self._scans[index]), Height.BACKDROP, SCAN_STEPS)
-        self._writer.log(f"world/last_scans/{index % LAST_SCANS}", rr.Points3D.from_fields(positions=positions))
+        self._writer.log_batched(f"world/last_scans/{index % LAST_SCANS}", rr.Points3D, positions=positions)
 
     def placed(self, keyframes: Floats) -> Iterator[PlacedScan]:
         """Yield the thinned scans of keyframes at poses (k, 3), as if the lidar were in the middle of the base."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import rerun as rr
 
 from .colours import SERIES, Colour
-from .rrd_writer import RrdWriter
+from .rrd_writer import MAX_BATCH_AGE, RrdWriter
 
 MAX_VALUES = 2000  # latest values of a group from which its typical range is computed
 SPARSE = ("chi2", "fit")  # groups with few values, each shown as a point as well: a line needs two
@@ -45,7 +44,7 @@ class TimeSeries:
         for number, names in enumerate(parts):
             if any(name in values for name in names):
                 row = [float(values.get(name, nan)) for name in names]
-                self._writer.log_batched(_entity(group, number), row, _columns)
+                self._writer.log_batched(_entity(group, number), rr.Scalars, scalars=row, max_age=MAX_BATCH_AGE)
 
     def mark(self, group: str, name: str, value: float, colour: Colour, marker: rr.components.MarkerShape) -> None:
         """Log a single point in the plot of a group."""
@@ -63,10 +62,6 @@ class TimeSeries:
         largest = np.array(self._largest.get(group, ()))
         largest = largest[np.isfinite(largest)]
         return float(np.percentile(largest, 98)) if len(largest) else None
-
-
-def _columns(rows: list[list[float]]) -> Iterable[Any]:
-    return rr.Scalars.columns(scalars=np.array(rows).ravel()).partition([len(row) for row in rows])
 
 
 def _entity(group: str, part: int) -> str:

@@ -14,7 +14,7 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam import Config, Finished, Slam
 from slam.config import OdometryConfig
 from slam.estimation.estimator import Estimator
-from slam.estimation.refinement import ScanHistory, build_scan_history, refine
+from slam.estimation.refinement import ScanHistory, build_scan_history, full_map_matcher, refine
 from slam.estimation.refinement.full_map_matcher import FullMapMatcher
 from slam.estimation.refinement.iteration import motion_to_keyframe
 from slam.estimation.refinement.landmark_recount import recount_observations
@@ -30,6 +30,7 @@ from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
 from slam.matching.bias_correction import correct_range_bias, correct_range_bias_of_scans
+from slam.matching.distance_field import DistanceField
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.point_matcher import Prediction
 from slam.matching.scan_points import ScanPoints
@@ -139,6 +140,27 @@ def test_the_first_scan_is_held_by_odometry_to_the_second(
     matcher.match(0, poses, matcher.local_map(0, poses[0]))
     sigmas = np.sqrt(np.diag(np.linalg.inv(seen[0].information)))
     assert np.all(sigmas < [0.05, 0.05, 0.05])
+
+
+def test_distance_fields_are_kept_for_later_laps(session: MappedSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of four places that follow each other again and again, the next one is never among the three used last."""
+    monkeypatch.setattr(full_map_matcher, "MAX_FIELDS", 3)
+    built, insert = [], DistanceField.insert_scans
+
+    def spy(field: DistanceField, poses: np.ndarray, scans: Sequence[np.ndarray]) -> None:
+        built.append(field)
+        insert(field, poses, scans)
+
+    monkeypatch.setattr(DistanceField, "insert_scans", spy)
+    history, landmarks, poses = session.history, session.mapper.landmarks, np.zeros_like(session.poses)
+    keyframes, nowhere = np.arange(len(poses)), np.zeros(len(history), dtype=bool)
+    poses[:, 0] = 100.0 * (keyframes // 2 % 2)  # in each of two rooms, one with an even and one with an odd number
+    matcher = FullMapMatcher(history, landmarks, poses, 0.0, 0.0, session.odometry_model, nowhere)
+    placed = history.scan_poses(poses)
+    for row in range(len(history)):
+        matcher.match(row, placed, matcher.local_map(row, placed[row]))
+    assert len(poses) > 8
+    assert 4 <= len(built) < 0.6 * len(poses)
 
 
 def predictions_of(monkeypatch: pytest.MonkeyPatch) -> list[Prediction]:

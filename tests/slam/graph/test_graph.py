@@ -365,6 +365,21 @@ def test_residuals_are_not_reduced_by_the_robust_kernel() -> None:
     np.testing.assert_allclose(residuals.weight[3:], [robust, 1.0, robust], rtol=0.02)
 
 
+@pytest.mark.parametrize("batch", [False, True])
+def test_residuals_are_the_whitened_errors_of_gtsam(batch: bool) -> None:
+    graph = make_graph(make_world(1), batch=batch)
+    factors, values = graph.factors_and_values()
+    expected = []
+    for factor in (factors.at(number) for number in range(factors.size())):
+        noise = factor.noiseModel()
+        noise = noise.noise() if isinstance(noise, gtsam.noiseModel.Robust) else noise
+        expected.append(np.sum(noise.whiten(factor.unwhitenedError(values)) ** 2))
+    residuals = graph.residuals()
+    assert max(expected) > 1.0
+    assert set(residuals.kind) >= {"prior", "odometry", "wall", "corner", "gauge prior"}
+    np.testing.assert_allclose(residuals.squared, expected, rtol=1e-6, atol=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_batch_and_incremental_solutions_agree(seed: int) -> None:
     world = make_world(seed)

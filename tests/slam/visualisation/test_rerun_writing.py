@@ -13,7 +13,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rerun.chunk import RrdReader
+import rerun as rr
+from rerun.chunk import Chunk, RrdReader
 
 from slam.errors import OutputError
 from slam.events import (
@@ -25,8 +26,12 @@ from slam.events import (
 )
 from slam.loop_closure.loop_status import LoopStatus
 from slam.visualisation.rerun_log import ReviewLog, review_log, rrd_writer
+from slam.visualisation.rerun_log.blueprint import Extent, layout
 from slam.visualisation.rerun_log.event_log import EventLog
 from slam.visualisation.rerun_log.log_files import log_parts
+from slam.visualisation.rerun_log.rrd_reader import ROW_ID, chunks_of
+from slam.visualisation.rerun_log.rrd_writer import RrdWriter
+from slam.visualisation.rerun_log.shown_area import NO_MAP
 
 from ..corridor import Corridor, bare_keyframe, last, log_events, of_kind, rows
 
@@ -178,6 +183,49 @@ def test_few_rows_are_written_in_chunks_of_their_own(tmp_path, monkeypatch):
     chunks = [chunk for chunk in RrdReader(path).stream() if chunk.entity_path == "/world/robot"]
     assert sum(chunk.to_record_batch().num_rows for chunk in chunks) == scans
     assert len(chunks) < scans / 100
+
+
+def test_what_is_logged_with_each_keyframe_is_written_together(tmp_path, monkeypatch):
+    """A row that is logged by itself takes ten times as long, and there are twenty of them for each keyframe."""
+    monkeypatch.setattr(rrd_writer, "time", SimpleNamespace(monotonic=lambda: 0.0))
+    single, log = [], rr.RecordingStream.log
+    monkeypatch.setattr(rr.RecordingStream, "log", lambda *args, **kwargs: (single.append(args), log(*args, **kwargs)))
+    path, keyframes = tmp_path / "review.rrd", of_kind(Corridor().events(), KeyframeAdded)
+    log_events(path, [])
+    without = len(single)
+    log_events(path, keyframes)
+    assert len(rows(path, "/world/keyframe/scan", "Points3D:positions")) == len(keyframes)
+    assert len(single) - 2 * without < len(keyframes)
+
+
+def test_a_keyframe_is_in_the_file_soon_after_it_was_logged(tmp_path):
+    """So a killed run has all but the last second, even if nothing follows a keyframe."""
+    path = tmp_path / "review.rrd"
+    with ReviewLog(path) as review:
+        review.handle(bare_keyframe(0))
+        end = time.monotonic() + 20.0
+        while time.monotonic() < end and not any(c.entity_path == "/world/keyframe/scan" for c in moving(path)):
+            time.sleep(0.1)
+        assert time.monotonic() < end
+
+
+def moving(path) -> list[Chunk]:
+    """Return the chunks of an unfinished log that are not static."""
+    return [chunk for chunk in chunks_of([path]) if not chunk.is_static]
+
+
+def test_what_is_cleared_does_not_reappear_with_rows_that_were_waiting(tmp_path):
+    path = tmp_path / "review.rrd"
+    writer = RrdWriter(path, layout(Extent(*NO_MAP)))
+    writer.set_time(1.0, 1)
+    writer.log_batched("robot/scan", rr.Points3D, positions=np.ones((3, 3)))
+    writer.log_batched("robots", rr.Points3D, positions=np.ones((3, 3)))
+    writer.clear("robot")
+    writer.close()
+    (scan,) = [chunk for chunk in chunks_of([path]) if chunk.entity_path == "/robot/scan"]
+    (cleared,) = [chunk for chunk in chunks_of([path]) if chunk.entity_path == "/robot"]
+    first, second = (chunk.to_record_batch().column(ROW_ID)[0].as_py() for chunk in (scan, cleared))
+    assert first < second
 
 
 def test_the_file_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch, caplog):
