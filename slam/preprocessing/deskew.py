@@ -143,13 +143,7 @@ def deskew(
         limit = FIT_DEVIATIONS * model.deviations_of_fit(float(travels[central].max()))
         error = np.clip(_fitted_middle(times[central], moves[central]), -limit, limit)
         moves = model.correct(between_each(error[None], moves))
-    at = np.array([mount])
-    lidars = between_each(at, compose_each(moves, at))
-    turned = scan.angles + np.interp(scan.time_offsets, offsets, unwrapped(lidars[:, 2].copy()))
-    x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
-    y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
-    shift = se2.wrap(np.arctan2(y, x) - turned)
-    bearings = turned + np.where(np.isfinite(shift), shift, 0.0)
+    ranges, bearings = _seen_from_middle(scan, ranges, offsets, moves, mount)
     nodes = _nodes(odometry, scan.stamp, scan.stamp + duration)
     at_nodes = odometry.at_each(nodes)
     motion = SweepMotion(
@@ -160,7 +154,24 @@ def deskew(
         wheel_travel(between_each(at_nodes[:-1], at_nodes[1:])),
         fitted,
     )
-    return DeskewedScan(middle, se2.compose(reference, error), np.hypot(x, y), bearings, motion)
+    return DeskewedScan(middle, se2.compose(reference, error), ranges, bearings, motion)
+
+
+def _seen_from_middle(
+    scan: Scan, ranges: Floats, offsets: Floats, moves: Floats, mount: se2.Pose
+) -> tuple[Floats, Floats]:
+    """Return ranges and bearings (n,) of a scan as seen from the lidar in the middle of the sweep.
+
+    offsets  (k,) seconds from the start of the sweep
+    moves    (k, 3) [x, y, heading] of the base relative to the middle, at these
+    """
+    at = np.array([mount])
+    lidars = between_each(at, compose_each(moves, at))
+    turned = scan.angles + np.interp(scan.time_offsets, offsets, unwrapped(lidars[:, 2].copy()))
+    x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
+    y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
+    shift = se2.wrap(np.arctan2(y, x) - turned)
+    return np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0)
 
 
 def _nodes(odometry: OdometryHistory, begin: float, end: float) -> Floats:
