@@ -13,7 +13,8 @@ from slam.geometry.segments import CornerPoints, Segments
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import wheel_travel
 from slam.preprocessing.deskew import DeskewedScan, SweepMotion
-from slam.preprocessing.motion_uncertainty import _unit_responses, add_motion_uncertainty, displaced
+from slam.preprocessing.motion_uncertainty import add_motion_uncertainty, displaced
+from slam.preprocessing.sweep_responses import _unit_responses
 
 BEAMS = 720
 END = 0.05
