@@ -26,19 +26,18 @@ from ..matching.bias_correction import correct_range_bias
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_links import link_revisited, undetermined_share
 from .keyframe_motions import motion_since, point_motions_of
-from .keyframe_selection import is_due, learn_between_keyframes
+from .keyframe_selection import MIN_EXPLAINED, is_due, learn_between_keyframes
 from .loop_update import search_loop
 from .slam_state import RELOCALISED_RADIUS, SlamState
 from .stage_timer import StageTimer
 from .tracking_checkpoint import Anchor
 
-# A place is familiar after this many visits with keyframes near the robot (metres, radians) if the familiarity of the
-# scan is at least this. Origin: chosen so that the graph does not grow while a robot patrols a known building; not
-# measured, but at twice the distance a recording of an office is torn by 0.25 m.
+# A place is familiar after this many visits with keyframes near the robot (metres, radians) if the map explains the
+# scan. Origin: chosen so that the graph does not grow while a robot patrols a known building; not measured, but at
+# twice the distance a recording of an office is torn by 0.25 m.
 FAMILIAR_VISITS = 2
 FAMILIAR_DISTANCE = 0.3  # Origin: as FAMILIAR_VISITS.
 FAMILIAR_TURN = np.radians(10.0)  # Origin: as FAMILIAR_VISITS.
-MIN_FAMILIARITY = 0.8  # Origin: as FAMILIAR_VISITS.
 # Metres: if the features leave the position less certain than this in one direction, as along a corridor, more visits
 # are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
 FAMILIAR_SIGMA = 0.05
@@ -153,7 +152,7 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     mapper = state.mapper
     if state.frozen:
         return int(mapper.keyframes_near(state.pose, np.inf, np.inf)[0])
-    if state.kidnapped or state.at_part_begin or tracking.familiarity < MIN_FAMILIARITY:
+    if state.kidnapped or state.at_part_begin or tracking.explained < MIN_EXPLAINED:
         return None
     near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
     near = near[np.isin(near, state.local_field.inserted)]

@@ -30,9 +30,6 @@ from ..matching.point_matcher import (
 )
 from ..matching.scan_points import surface_points
 
-# Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
-MIN_WALL_LENGTH = 0.5
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanMatch:
@@ -43,7 +40,6 @@ class ScanMatch:
     registration  of its features with the landmarks, from the best match on
     fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
     known         number of points in space that was seen before
-    familiarity   0 to 1: share of its wall length that lies on known walls; without walls, `explained`
     explained     0 to 1, share of all points that lie on known surfaces
     """
 
@@ -52,7 +48,6 @@ class ScanMatch:
     registration: Registration
     fit: float
     known: int
-    familiarity: float
     explained: float
 
     @property
@@ -103,10 +98,8 @@ class MatchTarget:
             scan, points, self.landmarks, self.field, self.roughness,
         )  # fmt: skip
         _, fit, known = point_cost(self.field, points, registration.pose)
-        has_walls = scan.segments.total_length >= MIN_WALL_LENGTH
         explained = fit * known / max(1, len(points))
-        familiarity = registration.overlap_ratio if has_walls else explained
-        return ScanMatch(match, others, registration, fit, known, familiarity, explained)
+        return ScanMatch(match, others, registration, fit, known, explained)
 
     def contradict(self, scan: ScanFeatures, pose: se2.Pose) -> bool:
         """Return True if a considerable part of what a scan at a pose shows of known space does not fit."""

@@ -24,7 +24,7 @@ from ..geometry.small_matrices import inverse
 from ..matching.line_matcher import ScanFeatures
 from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
-from .match_target import MIN_WALL_LENGTH, MatchTarget, ScanMatch
+from .match_target import MatchTarget, ScanMatch
 from .moving_objects import match_without_moving
 from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
 from .prediction_error import PREDICTION_SIGMAS
@@ -37,6 +37,8 @@ AMBIGUITY = 10.0
 # Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
 # Origin: chi-square, 3 dof, 99.7 %.
 MAX_SLIP = 3.7
+# Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
+MIN_WALL_LENGTH = 0.5
 # Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
@@ -212,7 +214,6 @@ def _result(
         registered,
         match.points.prediction,
         status,
-        match.familiarity,
         match.explained,
         match.known,
         match.poor,

@@ -40,7 +40,7 @@ class TrackingResult:
     registration  of the scan's features with the landmarks
     registered_covariance  (3, 3) of the registered pose, in the base's frame
     predicted     pose from which both were found, with its information (3, 3)
-    familiarity, explained  0 to 1, see `ScanMatch`
+    explained     0 to 1, see `ScanMatch`
     known         number of points in space that was seen before
     poor          True if a considerable part of these points does not fit
     slipped       True if odometry's motion since the reference contradicts the pose
@@ -56,7 +56,6 @@ class TrackingResult:
     registered_covariance: Floats
     predicted: Prediction
     status: TrackingStatus
-    familiarity: float
     explained: float
     known: int
     poor: bool
