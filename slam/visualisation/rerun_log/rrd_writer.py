@@ -77,6 +77,7 @@ class RrdWriter:
         self._file = _open_stream(identity)
         self._live: rr.RecordingStream | None = None
         self._streams = [self._file]
+        self._grown = False  # rows were written into the file since it was looked at
         self.file_ended = False  # because the disk is nearly full; viewers still receive all
         self._name = ""
         self._properties: tuple[str, rr.AnyValues] | None = None
@@ -107,6 +108,7 @@ class RrdWriter:
         """Log a row at the current time."""
         self._send_waiting(entity)
         self._set_stream_times()
+        self._grown = True
         for stream in self._streams:
             stream.log(entity, row)
         self._remember(entity, row)
@@ -181,6 +183,7 @@ class RrdWriter:
     def _send(self, key: _BatchKey) -> None:
         """Write a batch, and send viewers what they have not received of it."""
         batch = self._batches.pop(key)
+        self._grown = True
         if not self.file_ended:
             batch.send(self._file, key[0], 0)
         self._show(key[0], batch)
@@ -234,9 +237,13 @@ class RrdWriter:
             stream.send_blueprint(layout)
 
     def manage_files(self) -> None:
-        """Continue in another file if the current one has the part size; end it if the disk is nearly full."""
-        if self.file_ended:
+        """Continue in another file if the current one has the part size; end it if the disk is nearly full.
+
+        Only looks at the file if rows were written since the last time: between keyframes they wait for each other.
+        """
+        if self.file_ended or not self._grown:
             return
+        self._grown = False
         path = part_name(self._path, self._part)
         if free_space(path.parent) < MIN_FREE_SPACE:
             self._end_file(path)

@@ -231,7 +231,7 @@ def test_what_is_cleared_does_not_reappear_with_rows_that_were_waiting(tmp_path)
 def test_the_file_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch, caplog):
     path, events = tmp_path / "review.rrd", list(Corridor().events())
     keyframes = of_kind(events, KeyframeAdded)
-    room = iter([*[1e9] * 30, *[1e6] * len(events)])  # free bytes at each look
+    room = iter([*[1e9] * 2, *[1e6] * len(events)])  # free bytes at each look: after rows were written
     monkeypatch.setattr(rrd_writer, "free_space", lambda folder: next(room))
     with ReviewLog(path) as review, caplog.at_level(logging.WARNING):
         for event in events:
