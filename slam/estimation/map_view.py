@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,7 +75,7 @@ def _walls(landmarks: Landmarks, marginals: Marginals | None, drift: DriftCovari
         high=walls["high"].copy(),
         observations=walls["observations"].copy(),
         covariance=covariance,
-        pieces=tuple(landmarks.pieces(int(wall)) for wall in chosen),
+        pieces=tuple(landmarks.pieces_of_walls(chosen)),
     )
 
 
@@ -93,25 +91,22 @@ def _corners(
     rows, walls = landmarks.corners.rows, landmarks.walls.rows
     chosen = np.flatnonzero(rows["in_graph"])
     chosen = chosen[landmarks.active_corners(chosen)]
-    wall_ids = np.full((len(chosen), 2), -1)
     position = rows["position"][chosen].copy()
     covariance = np.full((len(chosen), 2, 2), np.nan)
-    intersecting, jacobians = [], []  # rows of corners at an intersection
-    for row, corner in enumerate(chosen):
-        named = rows["walls"][corner]
-        wall_ids[row] = np.where(named >= 0, walls["merged_into"][named], -1)
-        first, second = (int(wall) for wall in wall_ids[row])
-        intersection = None
-        turn = walls["frame"][second, 2] - walls["frame"][first, 2]
-        if min(first, second) >= 0 and abs(np.sin(turn)) > MIN_SINE and walls["in_graph"][[first, second]].all():
-            intersection, jacobian = intersect_walls(walls["frame"][first], walls["frame"][second])
-        if intersection is not None and np.hypot(*(intersection - position[row])) < MAX_INTERSECTION_DISTANCE:
-            position[row] = intersection
-            intersecting.append(row)
-            jacobians.append(jacobian)
+    named = rows["walls"][chosen]
+    wall_ids = np.full((len(chosen), 2), -1)
+    wall_ids[named >= 0] = walls["merged_into"][named[named >= 0]]
+    intersecting = np.flatnonzero((wall_ids >= 0).all(axis=1))  # rows of corners at an intersection
+    first, second = walls[wall_ids[intersecting]].T
+    crossing = first["in_graph"] & second["in_graph"]
+    crossing &= np.abs(np.sin(second["frame"][:, 2] - first["frame"][:, 2])) > MIN_SINE
+    intersecting = intersecting[crossing]
+    intersection, moved = intersect_walls(first["frame"][crossing], second["frame"][crossing])
+    close = np.hypot(*(intersection - position[intersecting]).T) < MAX_INTERSECTION_DISTANCE
+    intersecting, moved = intersecting[close], moved[close]
+    position[intersecting] = intersection[close]
     if marginals is not None and drift is not None:
         covariance = marginals.corners(chosen.tolist())
-        moved = np.array(jacobians).reshape(-1, 2, 4)
         joint = np.array(mapper.graph.wall_covariances(wall_ids[intersecting].tolist())).reshape(-1, 4, 4)
         covariance[intersecting] = moved @ joint @ moved.transpose(0, 2, 1)
         # the keyframe that first saw a corner is not stored, the last one is
@@ -127,17 +122,16 @@ def _corners(
 
 
 def _without_duplicates(
-    walls: Integers, intersecting: Sequence[int], observations: Integers
+    walls: Integers, intersecting: Integers, observations: Integers
 ) -> tuple[NDArray[np.bool_], Integers]:
     """Return (m,) which corners are the oldest of those at their intersection, and the observations (m,) of all these.
 
     walls         (m, 2) of each corner
-    intersecting  rows of the corners at an intersection
+    intersecting  (i,) rows of the corners at an intersection
     """
     kept, summed = np.ones(len(walls), dtype=bool), observations.copy()
     oldest: dict[tuple[int, int], int] = {}
-    for row in intersecting:
-        first, second = walls[row].tolist()
+    for row, (first, second) in zip(intersecting.tolist(), walls[intersecting].tolist(), strict=True):
         same = oldest.setdefault((first, second), row)
         if same != row:
             kept[row] = False

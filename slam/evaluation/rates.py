@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy.stats import beta
+from scipy.special import betaincinv
 
 CONFIDENCE = 0.95
 """Probability with which a rate is at most its upper limit."""
@@ -17,4 +17,4 @@ def upper_limit(count: int, trials: int, confidence: float = CONFIDENCE) -> floa
     """
     if not 0 <= count <= trials:
         raise ValueError(f"{count} events in {trials} trials")
-    return 1.0 if count == trials else float(beta.ppf(confidence, count + 1, trials - count))
+    return 1.0 if count == trials else float(betaincinv(count + 1, trials - count, confidence))

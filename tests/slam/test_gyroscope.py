@@ -13,7 +13,7 @@ import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, YawRate
 from drivers.recordings.mcap import McapWriter
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam import Config, Slam
 from slam.config import OdometryConfig
 from slam.evaluation.metrics import score_reference
@@ -62,7 +62,7 @@ def error(finished: Finished, messages: list[Message]) -> float:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=2, duration=14.0))
+    return list(Simulation("office", seed=2, duration=14.0, lidar=LidarModel(beams=360)))
 
 
 @pytest.mark.parametrize("source", ["wheels", "none"])

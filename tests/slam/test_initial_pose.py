@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from drivers import se2
 from drivers.messages import GroundTruth, InitialPose, Message, Odometry
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.cli.app import app
 from slam.events import Finished
@@ -25,7 +25,7 @@ LATER = 10.0
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=4, duration=DURATION))
+    return list(Simulation("office", seed=4, duration=DURATION, lidar=LidarModel(beams=360)))
 
 
 @pytest.fixture(scope="module")

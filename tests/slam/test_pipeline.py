@@ -46,7 +46,7 @@ def without_ground_truth(messages: Iterable[Message]) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("room", seed=3, duration=16.0))
+    return list(Simulation("room", seed=3, duration=16.0, lidar=LidarModel(beams=360)))
 
 
 @pytest.fixture(scope="module")

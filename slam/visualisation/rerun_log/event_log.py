@@ -48,7 +48,7 @@ from .keyframe_layer import KeyframeLayer
 from .loop_layer import CorrectionLayer, DecisionLayer
 from .map_layer import MapLayer
 from .path_layer import PathLayer
-from .rrd_writer import CANDIDATE, CLOSURE, PART_SIZE, RrdWriter
+from .rrd_writer import CANDIDATE, CLOSURE, FLUSH_PERIOD, PART_SIZE, RrdWriter
 from .scan_layer import CELL, ScanLayer
 from .shapes import bounds, largest_sigmas
 from .shown_area import NO_MAP, ShownArea
@@ -72,6 +72,7 @@ class EventLog:
         server: ViewerServer | None = None,
         part_size: int = PART_SIZE,
         seed: int | None = None,
+        max_age: float = FLUSH_PERIOD,
     ) -> None:
         """Open `path`, accept viewers if there is a server, and log the static rows.
 
@@ -79,7 +80,7 @@ class EventLog:
 
         Raises OutputError if the file cannot be written.
         """
-        self._writer = RrdWriter(path, layout(Extent(*NO_MAP)), server, part_size)
+        self._writer = RrdWriter(path, layout(Extent(*NO_MAP)), server, part_size, max_age)
         self._shown_area = ShownArea(self._writer, has_live_viewers=server is not None)
         self._log_run_properties(config, recording, versions, seed)
         self._decisions = self._corrections = 0  # loop decisions and corrections of the map so far

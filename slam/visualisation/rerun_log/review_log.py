@@ -55,7 +55,8 @@ class ReviewLog:
     server      address at which viewers can connect at any time
     seed        of the simulation, if there is one
     part_size   bytes after which another file is started
-    complete    let the pipeline wait while logging is busy, at most STALLED_SECONDS at a time
+    complete    for recordings: let the pipeline wait while logging is busy, at most STALLED_SECONDS at a time, and let
+                rows wait for others to be written together with, MAX_RECORDED_AGE
     """
 
     def __init__(
@@ -73,7 +74,7 @@ class ReviewLog:
         """Open the log. Raises OutputError if `path` cannot be written."""
         # Rerun is imported only if a log is wanted.
         from .event_log import EventLog
-        from .rrd_writer import FLUSH_PERIOD, PART_SIZE
+        from .rrd_writer import FLUSH_PERIOD, MAX_RECORDED_AGE, PART_SIZE
 
         self.path = path
         self.thinned = 0  # events left out, or logged without points, while the log was busy
@@ -84,7 +85,8 @@ class ReviewLog:
         self._queue: SimpleQueue[Event | None] = SimpleQueue()
         self._closed, self._complete, self._idle_time = False, complete, FLUSH_PERIOD
         size = PART_SIZE if part_size is None else part_size
-        self._log = EventLog(path, config, recording, versions or {}, server, size, seed)
+        max_age = MAX_RECORDED_AGE if complete else FLUSH_PERIOD
+        self._log = EventLog(path, config, recording, versions or {}, server, size, seed, max_age)
         self._worker = threading.Thread(target=self._work, name="review log", daemon=True)
         self._worker.start()
 

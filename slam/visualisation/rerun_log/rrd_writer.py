@@ -35,6 +35,9 @@ PART_SIZE = 50_000_000
 # memory, every chunk takes 1 kB until the file ends: with few rows in each, the memory of a run grows faster. A killed
 # run lacks the rows that wait.
 MAX_BATCH_ROWS, MAX_BATCH_AGE = 512, 30.0
+# Seconds that other rows of a recording wait, of which a minute is mapped in a second and which can be mapped again:
+# writing them takes a sixth of the time of the log less than with FLUSH_PERIOD.
+MAX_RECORDED_AGE = 2.0
 MAX_LIVE_BATCH_AGE = 1.0  # seconds that a row waits for further ones before viewers receive it
 MAX_STEP_TEXTS = 1000  # rows of the text log that a step of CANDIDATE or CLOSURE repeats; older ones are left out
 MAX_PARTS = 160  # files; then the oldest but the first is deleted, so that an endless run does not fill the disk
@@ -61,11 +64,19 @@ class RrdWriter:
     """
 
     def __init__(
-        self, path: Path, layout: rrb.Blueprint, server: ViewerServer | None = None, part_size: int = PART_SIZE
+        self,
+        path: Path,
+        layout: rrb.Blueprint,
+        server: ViewerServer | None = None,
+        part_size: int = PART_SIZE,
+        max_age: float = FLUSH_PERIOD,
     ) -> None:
-        """Open the file. Raises OutputError if it cannot be written."""
+        """Open the file. Raises OutputError if it cannot be written.
+
+        `max_age` is the time (seconds) that a batched row waits if it has no other.
+        """
         identity = str(uuid4())
-        self._path, self._part_size = path, part_size
+        self._path, self._part_size, self._max_age = path, part_size, max_age
         self._part = 1
         self._layout = layout
         self._static: dict[tuple[str, str], Archetype] = {}
@@ -77,6 +88,7 @@ class RrdWriter:
         self._file = _open_stream(identity)
         self._live: rr.RecordingStream | None = None
         self._streams = [self._file]
+        self._grown = False  # rows were written into the file since it was looked at
         self.file_ended = False  # because the disk is nearly full; viewers still receive all
         self._name = ""
         self._properties: tuple[str, rr.AnyValues] | None = None
@@ -107,23 +119,24 @@ class RrdWriter:
         """Log a row at the current time."""
         self._send_waiting(entity)
         self._set_stream_times()
+        self._grown = True
         for stream in self._streams:
             stream.log(entity, row)
         self._remember(entity, row)
 
     def log_batched(
-        self, entity: str, archetype: type[Archetype], *, max_age: float = FLUSH_PERIOD, **components: Values
+        self, entity: str, archetype: type[Archetype], *, max_age: float | None = None, **components: Values
     ) -> None:
         """Log a row of an archetype together with later rows of its entity, at a tenth of the cost of single rows.
 
-        All rows of an entity and archetype must have the same components. It is written after `max_age` seconds, or as
-        soon as another row of the entity is logged with `log`.
+        All rows of an entity and archetype must have the same components. It is written after `max_age` seconds (None:
+        those of the writer), or as soon as another row of the entity is logged with `log`.
         """
         now, row = time.monotonic(), _Row(archetype, components)
         key = entity, archetype.__name__, KEYFRAME in self._now
         batch = self._batches.get(key)
         if batch is None:
-            batch = self._batches[key] = _Batch(now, now, max_age)
+            batch = self._batches[key] = _Batch(now, now, self._max_age if max_age is None else max_age)
         batch.rows.append(row)
         batch.times.append(self._now)
         self._remember(entity, row)
@@ -181,6 +194,7 @@ class RrdWriter:
     def _send(self, key: _BatchKey) -> None:
         """Write a batch, and send viewers what they have not received of it."""
         batch = self._batches.pop(key)
+        self._grown = True
         if not self.file_ended:
             batch.send(self._file, key[0], 0)
         self._show(key[0], batch)
@@ -234,9 +248,13 @@ class RrdWriter:
             stream.send_blueprint(layout)
 
     def manage_files(self) -> None:
-        """Continue in another file if the current one has the part size; end it if the disk is nearly full."""
-        if self.file_ended:
+        """Continue in another file if the current one has the part size; end it if the disk is nearly full.
+
+        Only looks at the file if rows were written since the last time: between keyframes they wait for each other.
+        """
+        if self.file_ended or not self._grown:
             return
+        self._grown = False
         path = part_name(self._path, self._part)
         if free_space(path.parent) < MIN_FREE_SPACE:
             self._end_file(path)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers import Scan, se2
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam.errors import MapError
 from slam.evaluation.metrics import Relations
 from slam.evaluation.relation_fit import compare_fits
@@ -19,7 +19,7 @@ EVERY = 3  # motions, one of which is wrong
 @pytest.fixture(scope="module")
 def drive() -> tuple[Trajectory, Relations, list[Scan]]:
     """Return the true path of a drive, relations between scans one second apart, and the scans."""
-    simulation = Simulation("office", seed=3, duration=30.0)
+    simulation = Simulation("office", seed=3, duration=30.0, lidar=LidarModel(beams=360))
     scans = [message for message in simulation if isinstance(message, Scan)]
     stamps = np.array([scan.stamp for scan in scans])
     middles = np.array([scan.stamp + np.mean(scan.time_offsets) for scan in scans])

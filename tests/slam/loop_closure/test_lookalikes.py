@@ -136,7 +136,7 @@ def test_the_evidence_of_a_drive_rejects_the_next_door(monkeypatch: pytest.Monke
         return found
 
     monkeypatch.setattr("slam.estimation.loop_update.check_evidence", compared)
-    result = run_world("equal_doors", 8707)
+    result = run_world("equal_doors", 8694)
     assert not result.wrong
     assert decisions, "looks did not agree, so this proves nothing"
     for before, found, behind in decisions:

@@ -152,6 +152,21 @@ def test_a_door_divides_a_wall_into_pieces() -> None:
     np.testing.assert_allclose(landmarks.pieces(wall), [[-1.0, 4.5]])
 
 
+def test_pieces_of_many_walls_are_those_of_each() -> None:
+    landmarks = Landmarks()
+    assert landmarks.pieces_of_walls(np.arange(0)) == []
+    for wall, (covered, low, high) in enumerate(
+        (([0, 1, 2, 9, 10], 0.0, 1.1), ([], -1.0, 1.0), ([-30, -29, 5], -4.0, 2.0), ([3], 0.3, 0.4))
+    ):
+        landmarks.add_wall(np.zeros(3), 1.0, keyframe=0)
+        landmarks.covered[wall] = frozenset(covered)
+        landmarks.walls.rows[["low", "high"]][wall] = low, high
+    expected = ([[0.0, 0.3], [0.9, 1.1]], [[-1.0, 1.0]], [[-3.0, -2.8], [0.5, 0.6]], [[0.3, 0.4]])
+    for wall, (pieces, together) in enumerate(zip(expected, landmarks.pieces_of_walls(np.arange(4)), strict=True)):
+        np.testing.assert_allclose(together, pieces)
+        np.testing.assert_array_equal(landmarks.pieces(wall), together)
+
+
 def test_a_line_past_an_opening_does_not_close_it_without_points_in_it() -> None:
     """A scan along a wall shows it on both sides of a door as one line: no beam happens to pass through the door."""
     frame = np.array([4.0, 1.0, 2.5])

@@ -12,7 +12,6 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from scipy.stats import fisher_exact
 
 from drivers import se2
 from drivers.simulation.world import load_world
@@ -200,6 +199,8 @@ def test_glass_that_both_drives_see_through_now_and_then_has_not_gone() -> None:
     ("through", "seen", "own"), [(0, 5, (3, 4)), (9, 3, (8, 10)), (40, 0, (0, 70)), (7, 2, (0, 0))]
 )
 def test_p_values_of_stretches_are_those_of_the_exact_test(through: int, seen: int, own: tuple[int, int]) -> None:
+    from scipy.stats import fisher_exact  # here, as its import takes a second
+
     expected = fisher_exact([[through, seen], list(own)], alternative="greater").pvalue
     assert SeenThrough(0, (0.0, 1.0), through, seen, own).p_value == pytest.approx(expected, rel=1e-12)
 

@@ -40,7 +40,7 @@ class Logged(NamedTuple):
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
     path, listener = tmp_path_factory.mktemp("loops") / "review.rrd", EventCollector()
-    with pytest.MonkeyPatch.context() as patch, ReviewLog(path) as review:
+    with pytest.MonkeyPatch.context() as patch, ReviewLog(path, complete=True) as review:
         # Every closure is retracted at its first check, some keyframes after acceptance.
         patch.setattr(closure_monitor, "CHECK_INTERVAL", 6.0)
         patch.setattr(closure_monitor, "MAX_ADDED_CONTRADICTION", -1.0)

@@ -185,6 +185,21 @@ def test_few_rows_are_written_in_chunks_of_their_own(tmp_path, monkeypatch):
     assert len(chunks) < scans / 100
 
 
+def test_keyframes_of_a_recording_are_written_in_fewer_chunks_than_those_of_a_live_run(tmp_path, monkeypatch):
+    """A recording is mapped a hundred times as fast as it was driven."""
+    chunks = {}
+    for complete in (True, False):
+        ticks, path = itertools.count(), tmp_path / f"{complete}.rrd"
+        clock = SimpleNamespace(monotonic=lambda ticks=ticks: 0.01 * next(ticks))  # some keyframes a second
+        monkeypatch.setattr(rrd_writer, "time", clock)
+        with ReviewLog(path, complete=complete) as review:
+            for k in range(60):
+                review.handle(bare_keyframe(k))
+        chunks[complete] = [chunk for chunk in moving(path) if chunk.entity_path == "/world/keyframe/scan"]
+        assert sum(chunk.to_record_batch().num_rows for chunk in chunks[complete]) == 60
+    assert len(chunks[True]) < 0.5 * len(chunks[False])
+
+
 def test_what_is_logged_with_each_keyframe_is_written_together(tmp_path, monkeypatch):
     """A row that is logged by itself takes ten times as long, and there are twenty of them for each keyframe."""
     monkeypatch.setattr(rrd_writer, "time", SimpleNamespace(monotonic=lambda: 0.0))
@@ -231,7 +246,7 @@ def test_what_is_cleared_does_not_reappear_with_rows_that_were_waiting(tmp_path)
 def test_the_file_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch, caplog):
     path, events = tmp_path / "review.rrd", list(Corridor().events())
     keyframes = of_kind(events, KeyframeAdded)
-    room = iter([*[1e9] * 30, *[1e6] * len(events)])  # free bytes at each look
+    room = iter([*[1e9] * 2, *[1e6] * len(events)])  # free bytes at each look: after rows were written
     monkeypatch.setattr(rrd_writer, "free_space", lambda folder: next(room))
     with ReviewLog(path) as review, caplog.at_level(logging.WARNING):
         for event in events:
