@@ -34,7 +34,6 @@ def tracking_result(
         covariance,
         predicted or Prediction(pose, np.eye(3)),
         status,
-        1.0,
         explained,
         known,
         poor=poor,
