@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping, Sequence
-from operator import attrgetter
 
 import gtsam
 import numpy as np
@@ -132,7 +131,7 @@ class GraphEstimate:
 
         A wall's gauge prior counts as a measurement: it makes up for the direction that none determines.
         """
-        measured = sum(map(len, map(attrgetter("covariance"), self.solver.factors.values())))
+        measured = sum(len(factor.covariance) for factor in self.solver.factors.values())
         return measured - int(self.solver.estimate().dim())
 
     def chi2_at(self, other: GraphEstimate) -> float:

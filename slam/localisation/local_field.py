@@ -197,8 +197,8 @@ class LocalField:
     def references(self, pose: se2.Pose) -> list[tuple[int, se2.Pose]]:
         """Return some keyframes near a pose whose points are in the field, the oldest one first, and their poses in it.
 
-        After the oldest one, each is the one in the middle of those since the one before, up to the latest one: few of
-        many, among which is one that is about as old as any. There may be none.
+        The age of each is about half of that of the one before, counted in keyframes near, down to the latest one. So
+        there are few, and one of about any age. There may be none.
         """
         near = np.flatnonzero(np.hypot(*(self._inserted_poses[:, :2] - pose[:2]).T) < REFERENCE_DISTANCE)
         by_age, chosen, first = near[np.argsort(self._inserted[near])], list[int](), 0

@@ -97,11 +97,9 @@ def _places_alongside(landmarks: Landmarks, pairs: Integers) -> dict[int, dict[i
 
 def _long_runs(cells: Iterable[int]) -> frozenset[int]:
     """Return the cells that belong to a run of at least MIN_RUN_CELLS consecutive ones."""
-    found: list[int] = []
-    run: list[int] = []
+    runs: list[list[int]] = []
     for cell in sorted(cells):
-        if run and cell > run[-1] + 1:
-            found += run if len(run) >= MIN_RUN_CELLS else []
-            run = []
-        run.append(cell)
-    return frozenset(found + run if len(run) >= MIN_RUN_CELLS else found)
+        if not runs or cell > runs[-1][-1] + 1:
+            runs.append([])
+        runs[-1].append(cell)
+    return frozenset(chain.from_iterable(run for run in runs if len(run) >= MIN_RUN_CELLS))

@@ -24,8 +24,6 @@ ON_WALL_DISTANCE = 0.15
 # Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
 # Origin: chosen, less than the width of a door; not measured.
 MIN_GAP_BETWEEN_PIECES = 0.5
-# Bits of a number of a cell, which is sorted together with that of its wall. Origin: numerical.
-_CELL_BITS = 32
 
 
 def cells_between(low: float, high: float) -> frozenset[int]:
@@ -79,7 +77,7 @@ def pieces_of(covered: Sequence[frozenset[int]], low: Floats, high: Floats) -> l
     counts = np.array([len(cells) for cells in covered], dtype=np.int64)
     wall = np.repeat(np.arange(len(covered)), counts)
     cells = np.fromiter(chain.from_iterable(covered), dtype=np.int64, count=len(wall))
-    cells = np.sort((wall << _CELL_BITS) + cells) - (wall << _CELL_BITS)
+    cells = cells[np.lexsort((cells, wall))]
     low, high, last = low.copy(), high.copy(), np.cumsum(counts) - 1
     seen = np.flatnonzero(counts)
     begin, end = WALL_CELL * cells[last[seen] - counts[seen] + 1], WALL_CELL * (cells[last[seen]] + 1)

@@ -36,9 +36,6 @@ MIN_SWEEP_TRAVEL = 2e-3
 FIT_DEVIATIONS = 3.0
 # Origin: definition.
 PARABOLA_PARAMETERS = 3
-# Readings during a sweep at most between which odometry's error changes evenly. Origin: numerical, with twice as many
-# the variances of the walls of a room differ by less than a hundredth in the median, and by 9 % at most.
-MAX_NODES = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +45,7 @@ class SweepMotion:
     times        (n,) seconds from the middle to each beam
     poses        (n, 3) [x, y, heading] of the base at each beam
     speed_error  standard deviation of the relative error of the speed, see `smoothed_poses`
-    nodes        (m + 1,) seconds from the middle to the readings between which odometry's error changes evenly
+    breakpoints  (m + 1,) seconds from the middle to the readings between which odometry's error changes evenly
     steps        (m,) metres of wheel travel between these
     fitted       seconds from the middle to either end of the interval that the reference is fitted to
     offset       metres of wheel travel between the middle and the stamp that the scan was moved to
@@ -57,13 +54,13 @@ class SweepMotion:
     times: Floats
     poses: Floats
     speed_error: float
-    nodes: Floats
+    breakpoints: Floats
     steps: Floats
     fitted: float
     offset: float = 0.0
 
     @classmethod
-    def none(cls, beams: int) -> SweepMotion:
+    def standing(cls, beams: int) -> SweepMotion:
         """Return that of a robot that stands."""
         return cls(np.zeros(beams), np.zeros((beams, 3)), 0.0, np.array([0.0, 1.0]), np.zeros(1), 0.0)
 
@@ -125,7 +122,7 @@ def deskew(
     ranges = scan.ranges - range_bias if range_bias else scan.ranges
     if duration <= 0.0 or not len(odometry):
         at = odometry.at(scan.stamp) if len(odometry) else np.zeros(3)
-        return DeskewedScan(scan.stamp, at, ranges, scan.angles, SweepMotion.none(len(ranges)))
+        return DeskewedScan(scan.stamp, at, ranges, scan.angles, SweepMotion.standing(len(ranges)))
     middle = sweep_middle(scan)
     half = math.ceil(0.5 * duration / KNOT_INTERVAL)
     offsets = np.linspace(0.0, duration, 2 * half + 1)
@@ -134,7 +131,7 @@ def deskew(
     moves = between_each(reference[None], poses)
     travels = wheel_travel(moves)
     if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
-        return DeskewedScan(middle, reference, ranges, scan.angles, SweepMotion.none(len(ranges)))
+        return DeskewedScan(middle, reference, ranges, scan.angles, SweepMotion.standing(len(ranges)))
     times = offsets - 0.5 * duration
     central = np.abs(times) <= 0.5 * REFERENCE_INTERVAL
     error, fitted = np.zeros(3), 0.0
@@ -144,14 +141,14 @@ def deskew(
         error = np.clip(_fitted_middle(times[central], moves[central]), -limit, limit)
         moves = model.correct(between_each(error[None], moves))
     ranges, bearings = _seen_from_middle(scan, ranges, offsets, moves, mount)
-    nodes = _nodes(odometry, scan.stamp, scan.stamp + duration)
-    at_nodes = odometry.at_each(nodes)
+    breakpoints = _breakpoints(odometry, scan.stamp, scan.stamp + duration)
+    travelled = _travelled(poses, offsets, breakpoints - scan.stamp)
     motion = SweepMotion(
         scan.time_offsets - 0.5 * duration,
         np.column_stack([np.interp(scan.time_offsets, offsets, moves[:, k]) for k in range(3)]),
         speed_error,
-        nodes - middle,
-        wheel_travel(between_each(at_nodes[:-1], at_nodes[1:])),
+        breakpoints - middle,
+        np.diff(travelled),
         fitted,
     )
     return DeskewedScan(middle, se2.compose(reference, error), ranges, bearings, motion)
@@ -174,19 +171,32 @@ def _seen_from_middle(
     return np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0)
 
 
-def _nodes(odometry: OdometryHistory, begin: float, end: float) -> Floats:
-    """Return (m + 1,) stamps of odometry's readings from the last one before a sweep to the first one after it.
+def _travelled(poses: Floats, offsets: Floats, wanted: Floats) -> Floats:
+    """Return metres of wheel travel from the start of a sweep to the `wanted` times (m,), seconds from there.
 
-    Where they are farther apart than REFERENCE_INTERVAL, during which robots move smoothly, there are more; where there
-    are many in a sweep, there are fewer.
+    poses, offsets  (k, 3) smoothed poses and (k,) their times: between readings, noise would count as travel
+
+    Before and after the sweep, the speed is that at its ends.
+    """
+    travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(between_each(poses[:-1], poses[1:])))])
+    slopes = np.diff(travelled) / np.diff(offsets)
+    outside = slopes[0] * np.minimum(wanted, 0.0) + slopes[-1] * np.maximum(wanted - offsets[-1], 0.0)
+    return np.asarray(np.interp(wanted, offsets, travelled) + outside)
+
+
+def _breakpoints(odometry: OdometryHistory, begin: float, end: float) -> Floats:
+    """Return (m + 1,) stamps between which odometry's error changes evenly, from before a sweep until after it.
+
+    These are the stamps of the readings. Where readings are farther apart than REFERENCE_INTERVAL, during which robots
+    move smoothly, stamps between them are added.
     """
     stamps, _ = odometry.readings_between(begin - REFERENCE_INTERVAL, end)
     inside = stamps[(stamps > begin) & (stamps < end)]
     first = max(stamps[stamps <= begin], default=begin - REFERENCE_INTERVAL)
     last = min(min(stamps[stamps >= end], default=np.inf), end + REFERENCE_INTERVAL)
-    nodes = np.concatenate([[first], inside[:: len(inside) // MAX_NODES + 1], [last]])
-    parts = np.ceil(np.diff(nodes) / REFERENCE_INTERVAL).astype(int)
-    return np.asarray(np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), nodes))
+    stamps = np.concatenate([[first], inside, [last]])
+    parts = np.ceil(np.diff(stamps) / REFERENCE_INTERVAL).astype(int)
+    return np.asarray(np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), stamps))
 
 
 def _fitted_middle(times: Floats, poses: Floats) -> Floats:

@@ -65,10 +65,11 @@ def add_motion_uncertainty(
     mount              pose of the lidar in the base's frame
     Returns also the sweep covariance (3, 3), of the scan's displacement in the base's frame, metres and radians.
     """
-    if not len(segments) or not scan.motion.reach:
+    reach = scan.motion.reach
+    if not len(segments) or not reach:
         return segments, corners, np.zeros((3, 3))
     responses = segment_responses(segments, lines, scan.bearings, scan.motion, model, noise, mount)
-    translation, rotation = (float(variance) for variance in model.variances(np.array(scan.motion.reach)))
+    translation, rotation = (float(variance) for variance in model.variances(np.array(reach)))
     limit = np.diag([translation, translation, rotation])
     left, displacement = _without_displacement(segments.covariance, segment_jacobians(segments), responses, limit)
     of_corners = _corner_covariances(segments.frame, corners.position, corners.segments, left)

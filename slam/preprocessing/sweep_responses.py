@@ -56,8 +56,8 @@ def segment_responses(
     mount: se2.Pose,
 ) -> Floats:
     """Return (n, 2, m + 4) the changes of offset and heading by one standard deviation of each error."""
-    interval = np.clip(np.searchsorted(motion.nodes, motion.times, side="right") - 1, 0, len(motion.steps) - 1)
-    part = (motion.times - motion.nodes[interval]) / np.diff(motion.nodes)[interval]
+    interval = np.clip(np.searchsorted(motion.breakpoints, motion.times, side="right") - 1, 0, len(motion.steps) - 1)
+    part = (motion.times - motion.breakpoints[interval]) / np.diff(motion.breakpoints)[interval]
     turns, shifts, speeds = _unit_responses(
         segments.frame,
         segments.half_length,
@@ -66,7 +66,7 @@ def segment_responses(
         bearings,
         np.copysign(motion.travel, motion.times) + motion.offset,
         motion.poses,
-        (interval, part, _shares_in_fit(motion.nodes, motion.fitted)),
+        (interval, part, _shares_in_fit(motion.breakpoints, motion.fitted)),
         tuple(mount.tolist()),
         (noise.sigma_range**2, noise.sigma_bearing**2),
     )
@@ -78,19 +78,18 @@ def segment_responses(
     return np.concatenate([np.sqrt(model.variances(motion.steps)[1]) * turns, moved, turned, sped], axis=2)
 
 
-def _shares_in_fit(nodes: Floats, fitted: float) -> Floats:
-    """Return (m,) what the middle of the fitted parabola has of each step of the random walk, between two `nodes`.
+def _shares_in_fit(breakpoints: Floats, fitted: float) -> Floats:
+    """Return (m,) what the middle of the fitted parabola has of each step of the random walk, between `breakpoints`.
 
-    A step r rises from 0 to 1 between its nodes a and b. With V = int v, which is 0 before -1 and 1 after 1,
+    A step r rises from 0 to 1 between its breakpoints a and b. With V = int v, which is 0 before -1 and 1 after 1,
 
         int_-1^1 v(x) r(l x) dx = 1 - int_a^b V(u / l) du / (b - a)
     """
-    x = nodes / fitted if fitted else np.copysign(np.inf, nodes)
+    x = breakpoints / fitted if fitted else np.copysign(np.inf, breakpoints)
     inner = np.clip(x, -1.0, 1.0)
-    integral = np.where(
-        np.abs(x) < 1.0, fitted * (3.0 + 16.0 * inner + 18.0 * inner**2 - 5.0 * inner**4) / 32.0, np.maximum(nodes, 0.0)
-    )
-    return np.asarray(1.0 - np.diff(integral) / np.diff(nodes))
+    inside = fitted * (3.0 + 16.0 * inner + 18.0 * inner**2 - 5.0 * inner**4) / 32.0
+    integral = np.where(np.abs(x) < 1.0, inside, np.maximum(breakpoints, 0.0))
+    return np.asarray(1.0 - np.diff(integral) / np.diff(breakpoints))
 
 
 @compiled

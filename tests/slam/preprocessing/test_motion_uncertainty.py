@@ -29,7 +29,7 @@ BEARINGS = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
 TIMES = np.linspace(-END, END, BEAMS)
 SPEED = wheel_travel(POSES).max() / END
 """Metres of wheel travel per second."""
-NODES = np.array([-0.06, -0.037, -0.02, 0.005, 0.03, 0.052])
+BREAKPOINTS = np.array([-0.06, -0.037, -0.02, 0.005, 0.03, 0.052])
 """Seconds from the middle of the sweep to readings of odometry."""
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
 DRAWS = 1500
@@ -37,7 +37,7 @@ DRAWS = 1500
 
 def sweep(fitted: float) -> DeskewedScan:
     """Return a sweep whose reference is fitted within some seconds from its middle."""
-    motion = SweepMotion(TIMES, POSES, SPEED_ERROR, NODES, SPEED * np.diff(NODES), fitted)
+    motion = SweepMotion(TIMES, POSES, SPEED_ERROR, BREAKPOINTS, SPEED * np.diff(BREAKPOINTS), fitted)
     return DeskewedScan(0.0, np.zeros(3), np.ones(BEAMS), BEARINGS, motion)
 
 
@@ -211,9 +211,9 @@ def motion_errors(random: np.random.Generator, fitted: float) -> np.ndarray:
     of a parabola fitted within `fitted` seconds from the middle; if that is zero, to the middle itself.
     """
     translation, rotation = MODEL.variances(np.ones(()))
-    steps = np.sqrt(rotation * SPEED * np.diff(NODES)) * random.standard_normal((DRAWS, len(NODES) - 1))
-    at_nodes = np.column_stack([np.zeros(DRAWS), np.cumsum(steps, axis=1)])
-    walks = np.array([np.interp(TIMES, NODES, walk) for walk in at_nodes])
+    steps = np.sqrt(rotation * SPEED * np.diff(BREAKPOINTS)) * random.standard_normal((DRAWS, len(BREAKPOINTS) - 1))
+    there = np.column_stack([np.zeros(DRAWS), np.cumsum(steps, axis=1)])
+    walks = np.array([np.interp(TIMES, BREAKPOINTS, walk) for walk in there])
     inside = np.abs(TIMES) <= fitted
     if fitted:
         middles = np.polyfit(TIMES[inside], walks[:, inside].T, 2)[-1]
