@@ -16,6 +16,7 @@ from ..output_files import make_directory
 
 if TYPE_CHECKING:
     from ...offline.batch.cluster import Client
+    from .batch_status import BatchStatus
 
 EXIT_PARTIAL = 1
 """Exit status if the batch is complete but some recordings could not be mapped."""
@@ -67,10 +68,8 @@ def batch(
     """
     from ...config import load_config
     from ...extras import require_extra
-    from ...offline.batch import JobOptions, make_jobs, remove_leftovers
-    from ...offline.batch.dispatch import dispatch
+    from ...offline.batch import JobOptions, make_jobs
     from .batch_status import BatchStatus
-    from .batch_worker import map_job
 
     require_extra("batch")
     if scheduler is not None and workers is not None:
@@ -79,10 +78,22 @@ def batch(
     jobs = make_jobs(recordings, out, options, overwrite=overwrite)
     make_directory(out)
     status = BatchStatus(jobs, out / TABLE)
+    _map_waiting(status, scheduler, workers or os.cpu_count() or 1, retries)
+    status.show()
+    if status.complete < len(status):
+        raise typer.Exit(EXIT_PARTIAL)
+
+
+def _map_waiting(status: BatchStatus, scheduler: str | None, workers: int, retries: int) -> None:
+    """Map the recordings that are not complete, on a cluster or with local processes; raises Exit if interrupted."""
+    from ...offline.batch import remove_leftovers
+    from ...offline.batch.dispatch import dispatch
+    from .batch_worker import map_job
+
     waiting = status.waiting
     try:
         if waiting:
-            with _cluster(scheduler, min(workers or os.cpu_count() or 1, len(waiting))) as client:
+            with _cluster(scheduler, min(workers, len(waiting))) as client:
                 status.follow(dispatch(waiting, map_job, client, retries))
     except KeyboardInterrupt as error:
         print_message(
@@ -93,9 +104,6 @@ def batch(
         if scheduler is None:  # on a cluster, running jobs continue to their end
             for job in waiting:
                 remove_leftovers(job)
-    status.show()
-    if status.complete < len(status):
-        raise typer.Exit(EXIT_PARTIAL)
 
 
 def _cluster(scheduler: str | None, count: int) -> AbstractContextManager[Client]:

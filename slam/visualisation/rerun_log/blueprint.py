@@ -14,8 +14,8 @@ import rerun.blueprint as rrb
 from ...geometry.segments import Floats
 from .colours import BACKGROUND, GRID
 from .loop_layer import TABLE, TABLE_COLUMNS
-from .rrd_writer import CANDIDATE, CLOSURE, KEYFRAME, SENSOR_TIME
 from .status_layer import ENTITY as STATUS_ENTITY
+from .timelines import CANDIDATE, CLOSURE, KEYFRAME, SENSOR_TIME
 
 FIELD_OF_VIEW = math.radians(55.0)  # vertical, of the viewer's eye; Rerun has no orthographic projection
 MAP_ASPECT, WIDE_ASPECT = 1.0, 2.0  # width / height of the panels of the map and of those below

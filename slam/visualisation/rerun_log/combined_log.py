@@ -15,8 +15,9 @@ from .blueprint import Extent, layout, side_by_side
 from .log_files import LogFiles
 from .loop_layer import TABLE
 from .rrd_reader import chunks_of, recording_id, rows
-from .rrd_writer import APPLICATION, CANDIDATE, CLOSURE, SENSOR_TIME
+from .rrd_writer import APPLICATION
 from .shapes import bounds
+from .timelines import CANDIDATE, CLOSURE, SENSOR_TIME
 
 
 def write_combined_log(logs: Sequence[LogFiles], names: Sequence[str], target: Path) -> None:

@@ -48,12 +48,13 @@ from .keyframe_layer import KeyframeLayer
 from .loop_layer import CorrectionLayer, DecisionLayer
 from .map_layer import MapLayer
 from .path_layer import PathLayer
-from .rrd_writer import CANDIDATE, CLOSURE, FLUSH_PERIOD, PART_SIZE, RrdWriter
+from .rrd_writer import FLUSH_PERIOD, PART_SIZE, RrdWriter
 from .scan_layer import CELL, ScanLayer
 from .shapes import bounds, largest_sigmas
 from .shown_area import NO_MAP, ShownArea
 from .status_layer import StatusLayer
 from .time_series import TimeSeries
+from .timelines import CANDIDATE, CLOSURE
 from .viewer import ViewerServer
 
 MIN_LOGGED_SHIFT = 0.1  # metres; larger shifts of the path are reported in the text log

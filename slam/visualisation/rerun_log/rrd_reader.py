@@ -13,7 +13,7 @@ from typing import Any
 from rerun.chunk import Chunk, RrdReader
 
 from ...errors import MapError
-from .rrd_writer import SENSOR_TIME
+from .timelines import SENSOR_TIME
 from .viewer import viewer_executable
 
 ROW_ID = "rerun.controls.RowId"

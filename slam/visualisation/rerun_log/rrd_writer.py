@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import chain
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 from uuid import uuid4
@@ -14,18 +12,15 @@ from uuid import uuid4
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from ...errors import OutputError
 from ...io.disk_reserve import free_space
 from .log_files import part_name
+from .row_batches import Archetype, Row, RowBatch, Values, columns_of
+from .timelines import CANDIDATE, CLOSURE, KEYFRAME, MIN_EPOCH_STAMP, SENSOR_TIME
 from .viewer import ViewerServer
 
 APPLICATION = "wclm-slam"  # the viewer stores layouts by this name
-SENSOR_TIME, KEYFRAME = "sensor_time", "keyframe"
-CANDIDATE, CLOSURE = "candidate", "closure"
-"""Timelines with one step per loop decision and per correction of the map."""
-MIN_EPOCH_STAMP = 1e8  # larger stamps are seconds since 1970, smaller ones count from the start of the recording
 SERVER_MEMORY = "25%"  # of the computer's memory: rows kept for viewers that connect late; older ones are in the file
 FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a live viewer and show nothing sooner
 # Bytes after which another file is started: an hour of driving. Rerun keeps an index of the open file in memory, about
@@ -47,9 +42,8 @@ MIN_FREE_SPACE = 4_000_000
 
 _logger = logging.getLogger(__name__)
 
-Archetype: TypeAlias = Any  # Rerun has no common type for loggable values
-Values: TypeAlias = Sequence[Any] | NDArray[Any]
-"""Values of a component of a row."""
+_BatchKey: TypeAlias = tuple[str, str, bool]
+"""Entity, archetype, and whether the rows are those of keyframes."""
 
 
 class RrdWriter:
@@ -82,8 +76,8 @@ class RrdWriter:
         self._static: dict[tuple[str, str], Archetype] = {}
         self._now: dict[str, int] = {}
         self._stream_times: dict[str, int] = {}  # current time of the streams
-        self._batches: dict[_BatchKey, _Batch] = {}
-        self._changed: dict[str, dict[tuple[str, ...], Archetype | _Row]] = {CANDIDATE: {}, CLOSURE: {}}
+        self._batches: dict[_BatchKey, RowBatch] = {}
+        self._changed: dict[str, dict[tuple[str, ...], Archetype | Row]] = {CANDIDATE: {}, CLOSURE: {}}
         self._texts = 0  # rows of text logs so far, modulo MAX_STEP_TEXTS
         self._file = _open_stream(identity)
         self._live: rr.RecordingStream | None = None
@@ -132,11 +126,11 @@ class RrdWriter:
         All rows of an entity and archetype must have the same components. It is written after `max_age` seconds (None:
         those of the writer), or as soon as another row of the entity is logged with `log`.
         """
-        now, row = time.monotonic(), _Row(archetype, components)
+        now, row = time.monotonic(), Row(archetype, components)
         key = entity, archetype.__name__, KEYFRAME in self._now
         batch = self._batches.get(key)
         if batch is None:
-            batch = self._batches[key] = _Batch(now, now, self._max_age if max_age is None else max_age)
+            batch = self._batches[key] = RowBatch(now, now, self._max_age if max_age is None else max_age)
         batch.rows.append(row)
         batch.times.append(self._now)
         self._remember(entity, row)
@@ -154,11 +148,11 @@ class RrdWriter:
         for key in list(self._batches):
             self._send_if_due(key, now)
 
-    def _remember(self, entity: str, row: Archetype | _Row) -> None:
+    def _remember(self, entity: str, row: Archetype | Row) -> None:
         """Keep a row of a keyframe for the next steps; a text log consists of all its rows."""
         if KEYFRAME not in self._now:
             return
-        archetype = row.archetype if isinstance(row, _Row) else type(row)
+        archetype = row.archetype if isinstance(row, Row) else type(row)
         key: tuple[str, ...] = entity, archetype.__name__
         if archetype is rr.TextLog:
             self._texts = (self._texts + 1) % MAX_STEP_TEXTS
@@ -176,9 +170,9 @@ class RrdWriter:
                 stream.disable_timeline(other)
             stream.set_time(timeline, sequence=number)
             for (entity, *_), row in changed.items():
-                if isinstance(row, _Row):
+                if isinstance(row, Row):
                     index = rr.TimeColumn(timeline, sequence=[number])
-                    stream.send_columns(entity, indexes=[index], columns=_columns([row]))
+                    stream.send_columns(entity, indexes=[index], columns=columns_of([row]))
                 else:
                     stream.log(entity, row)
             stream.disable_timeline(timeline)
@@ -199,7 +193,7 @@ class RrdWriter:
             batch.send(self._file, key[0], 0)
         self._show(key[0], batch)
 
-    def _show(self, entity: str, batch: _Batch) -> None:
+    def _show(self, entity: str, batch: RowBatch) -> None:
         """Send viewers the rows of a batch that they have not received."""
         if self._live is not None and batch.shown < len(batch.rows):
             batch.send(self._live, entity, batch.shown)
@@ -287,61 +281,6 @@ class RrdWriter:
         self._send_all()
         for stream in self._streams:
             _finish(stream)
-
-
-_BatchKey: TypeAlias = tuple[str, str, bool]
-"""Entity, archetype, and whether the rows are those of keyframes."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Row:
-    """A row of a batch."""
-
-    archetype: type[Archetype]
-    components: Mapping[str, Values]
-
-
-@dataclass(slots=True, eq=False)
-class _Batch:
-    """Rows of one entity that are written together, with their times by timeline.
-
-    started   time of the first row, on the clock of time.monotonic
-    shown_at  time when viewers have received rows last, at first `started`
-    max_age   seconds that the first row waits
-    shown     number of rows that viewers have received
-    """
-
-    started: float
-    shown_at: float
-    max_age: float
-    rows: list[_Row] = field(default_factory=list)
-    times: list[dict[str, int]] = field(default_factory=list)
-    shown: int = 0
-
-    def send(self, stream: rr.RecordingStream, entity: str, first: int) -> None:
-        """Send the rows from number `first` on."""
-        indexes = [_time_column(name, [row[name] for row in self.times[first:]]) for name in self.times[0]]
-        stream.send_columns(entity, indexes=indexes, columns=_columns(self.rows[first:]))
-
-
-def _columns(rows: Sequence[_Row]) -> list[rr.ComponentColumn]:
-    """Return the columns of rows that have the same archetype and components."""
-    return list(chain.from_iterable(_column(rows, name) for name in rows[0].components))
-
-
-def _column(rows: Sequence[_Row], name: str) -> Iterator[rr.ComponentColumn]:
-    values = [row.components[name] for row in rows]
-    arrays = all(isinstance(value, np.ndarray) for value in values)
-    joined = np.concatenate(values) if arrays else list(chain.from_iterable(values))
-    yield from rows[0].archetype.columns(**{name: joined}).partition([len(value) for value in values])
-
-
-def _time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
-    if timeline != SENSOR_TIME:
-        return rr.TimeColumn(timeline, sequence=values)
-    if values[0] > 1e9 * MIN_EPOCH_STAMP:
-        return rr.TimeColumn(timeline, timestamp=np.array(values).astype("datetime64[ns]"))
-    return rr.TimeColumn(timeline, duration=np.array(values).astype("timedelta64[ns]"))
 
 
 def _finish(stream: rr.RecordingStream) -> None:

@@ -1,0 +1,20 @@
+"""Timelines of the log."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+SENSOR_TIME, KEYFRAME = "sensor_time", "keyframe"
+CANDIDATE, CLOSURE = "candidate", "closure"
+"""Timelines with one step per loop decision and per correction of the map."""
+MIN_EPOCH_STAMP = 1e8  # larger stamps are seconds since 1970, smaller ones count from the start of the recording
+
+
+def time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
+    """Return times as a column: nanoseconds of SENSOR_TIME, numbers of the other timelines."""
+    if timeline != SENSOR_TIME:
+        return rr.TimeColumn(timeline, sequence=values)
+    if values[0] > 1e9 * MIN_EPOCH_STAMP:
+        return rr.TimeColumn(timeline, timestamp=np.array(values).astype("datetime64[ns]"))
+    return rr.TimeColumn(timeline, duration=np.array(values).astype("timedelta64[ns]"))
