@@ -3,8 +3,8 @@
 Every few metres the points of the last keyframes are matched with the old places where the robot may be by the
 uncertainty of the estimate (see `look`). Each match is a hypothesis: a motion that would move the robot onto the old
 map. One match may be wrong, as places look alike, so each later look tests all hypotheses again. A loop is closed if
-enough looks support its hypothesis, at least two of them without common points, and if few contradict it or support a
-rival. Looks count only if they are pairwise consistent (Mangelson et al., 2018): the motion between two of them over
+looks support its hypothesis over as many metres of driving as the robot may be off, and if few contradict it or support
+a rival. Looks count only if they are pairwise consistent (Mangelson et al., 2018): the motion between two of them over
 the old map must be that of the estimate. The estimate itself is the first hypothesis: if it fits, the robot has
 returned, and nothing is corrected.
 
@@ -30,7 +30,7 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from .criteria import MIN_KNOWN, MIN_SUPPORT, SUPPORT_RATIO, differ, fits, is_determined
+from .criteria import MIN_INDEPENDENT, MIN_KNOWN, SUPPORT_RATIO, differ, fits, is_determined
 from .decision import LoopDecision, LoopMatch
 from .judgement import Judgement
 from .look import MAX_PLACES, Look, Submaps
@@ -117,7 +117,7 @@ class LoopAgreement:
 
         The motion is the same all the time, so contradictions count however long ago they were.
         """
-        return len(self._estimate.contradictions) >= MIN_SUPPORT and not self._hypotheses
+        return len(self._estimate.contradictions) >= MIN_INDEPENDENT and not self._hypotheses
 
     def number(self, decision: LoopDecision) -> LoopDecision:
         """Return a decision with the next number."""
@@ -192,7 +192,7 @@ class LoopAgreement:
 
     def _is_refuted(self, look: Look) -> bool:
         """Return True if looks contradict the estimate: the robot is at another place, however certain it may be."""
-        return self._estimate.contradictions_since(look.travelled - MEMORY) >= MIN_SUPPORT
+        return self._estimate.contradictions_since(look.travelled - MEMORY) >= MIN_INDEPENDENT
 
     def _test_estimate(self, look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> None:
         """Count a look as a contradiction of the motion between two parts if it fits nowhere within its uncertainty.

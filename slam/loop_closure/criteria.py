@@ -22,8 +22,11 @@ MAX_MATCH_SIGMA = 0.17
 # Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
 # if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof, 95 %.
 MAX_CLOSED_DISTANCE = 7.81
-# Looks that must support a hypothesis. Origin: definition, the least number of which two have no point in common.
-MIN_SUPPORT = 4
+# Looks that must support a hypothesis. Origin: definition, one proposes it, and another one tests it.
+MIN_SUPPORT = 2
+# Looks of which two have no point in common: so many must support a hypothesis that leads to another place, or
+# contradict the estimate before it is in doubt. Origin: definition.
+MIN_INDEPENDENT = 4
 # Standard deviations of the position over which the looks that support a hypothesis must extend. Origin: chosen, 99.7 %
 # of a normal distribution.
 SPAN_DEVIATIONS = 3.0
@@ -51,16 +54,19 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corr
     """Check that enough looks support a hypothesis, and that the estimate's uncertainty admits it.
 
     A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
-    must extend over this distance.
+    must extend over this distance. Furniture that was moved may look like another place in all looks that have it in
+    common. So if the hypothesis leads there, or the estimate is in doubt, the looks must extend over a submap, too.
 
     look      the last one
     against   number of looks that contradict the hypothesis
     corrects  true if it would correct the estimate; false if it is that the estimate is right
     """
     count, old = len(hypothesis.support), hypothesis.support[-1].old
-    span = max(SUBMAP_LENGTH, SPAN_DEVIATIONS * look.uncertainty.deviation(old))
+    elsewhere = look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
+    least, shortest = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere else (MIN_SUPPORT, 0.0)
+    span = max(shortest, SPAN_DEVIATIONS * look.uncertainty.deviation(old))
     checks = [
-        Check("support", count, MIN_SUPPORT, at_least=True),
+        Check("support", count, least, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),
         Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
     ]

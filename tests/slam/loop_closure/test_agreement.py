@@ -11,7 +11,7 @@ from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
-from slam.loop_closure.criteria import MIN_SUPPORT
+from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT, SPAN_DEVIATIONS
 from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.look import Look, Submaps
 from slam.loop_closure.loop_status import LoopStatus
@@ -115,13 +115,26 @@ def test_drift_is_corrected_once_enough_looks_agree() -> None:
     found, _, _ = drive_twice(drift, np.zeros(3))
     assert found
     accepted = found[0]
-    assert len(accepted.matches) >= MIN_SUPPORT
+    assert len(accepted.matches) >= MIN_INDEPENDENT
     assert accepted.matches[-1].travelled - accepted.matches[0].travelled >= SUBMAP_LENGTH
     left = se2.compose(accepted.correction, drift)
     assert np.hypot(*left[:2]) < 0.15  # at the origin, which is up to 15 m away
     assert abs(left[2]) < 0.01
     for match in accepted.matches:
         assert abs(match.relative[1]) < 0.1  # both passes are on the same line
+
+
+def test_drift_that_leads_to_no_other_place_is_corrected_although_the_drive_ends_soon() -> None:
+    """The robot drives for 4 m after it has returned, less than the length of a submap."""
+    drift = np.array([0.2, 0.3, 0.02])
+    found, _, _ = drive_twice(drift, np.zeros(3), until=5.0)
+    assert found
+    matches = found[0].matches
+    assert len(matches) >= MIN_SUPPORT
+    assert SUBMAP_LENGTH > matches[-1].travelled - matches[0].travelled >= SPAN_DEVIATIONS * SIGMAS[0]
+    left = se2.compose(found[0].correction, drift)
+    assert np.hypot(*left[:2]) < 0.05
+    assert abs(left[2]) < 0.01
 
 
 def test_drift_beyond_the_uncertainty_of_the_estimate_is_corrected_if_correlated_errors_explain_it() -> None:
@@ -173,7 +186,7 @@ def test_rejected_loop_states_what_was_missing() -> None:
     nearest = max(rejected, key=lambda decision: decision.margin)
     failed = [check for check in nearest.checks if not check.passed]
     assert nearest.margin == min(check.margin for check in failed) < 1.0
-    assert f"{len(nearest.matches)} looks agree (requires {MIN_SUPPORT})" in nearest.reason
+    assert f"{len(nearest.matches)} looks agree (requires {MIN_INDEPENDENT})" in nearest.reason
     assert len(nearest.reason.split("; ")) == len(failed)
     assert [d.reason for d in copied.take_rejected(ended=True)] == [d.reason for d in rejected]
 
