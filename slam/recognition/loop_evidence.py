@@ -25,7 +25,7 @@ from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
 from .drive_scans import DriveScans
-from .location import DOUBTED, RECOGNISED, locate
+from .location import DOUBTED, RECOGNISED, RETURNED, Expectation, locate
 from .placements import Uncertainty
 from .scanned_map import scan_keyframes
 
@@ -45,11 +45,18 @@ def check_evidence(
     old = among & (travelled < travelled[first] - SUBMAP_LENGTH) & (_distances(poses, look.pose) < reach)
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
     uncertainty = Uncertainty(look.uncertainty.covariance(place))
-    location = locate(drive, known, DOUBTED if decision.doubted else RECOGNISED, uncertainty)
+    location = locate(drive, known, _expected(look, decision), uncertainty)
     if location.accepted and not differ(look, location.members[-1].motion, decision.correction):
         return decision
     reason = f"the drive as a whole does not fit there: {location.reason}"
     return replace(decision, status=LoopStatus.REJECTED, reason=reason)
+
+
+def _expected(look: Look, decision: LoopDecision) -> Expectation:
+    """Return what is known before about where the drive is."""
+    if decision.doubted:
+        return DOUBTED
+    return RECOGNISED if differ(look, decision.correction, np.zeros(3)) else RETURNED
 
 
 def _distances(poses: Floats, pose: se2.Pose) -> Floats:
