@@ -65,9 +65,9 @@ def test_good_recording_is_described_without_warnings() -> None:
     ("messages", "warning"),
     [
         ([odometry(0.1 * i) for i in range(9)], "no scans"),
-        ([scan(0.1 * i) for i in range(9)], "no odometry"),
+        ([scan(0.1 * i) for i in range(9)], "no odometry: the motion comes from the scans alone"),
         ([*drive(), scan(10.1, mounted=False)], "1 scan without a lidar mount"),
-        ([scan(0.0, mounted=False), odometry(0.0)], "the mount of the lidar on the robot is not recorded"),
+        ([scan(0.0, mounted=False), odometry(0.0)], "not recorded; lidar.mount=[x,y,heading] states it"),
         ([*drive(), scan(10.1, beams=6)], "number of beams varies between 4 and 6"),
         ([scan(0.1 * i, valid=1) for i in range(9)], "75 % of the beams"),
         ([*drive(), *[scan(30.0 + 0.1 * i) for i in range(9)]], "1 gap in the scans, the longest 20.0 s"),
