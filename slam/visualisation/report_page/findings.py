@@ -39,7 +39,7 @@ STATUS_FINDINGS = {
     ),
     "DEGENERATE": (
         "one direction was degenerate",
-        "As in a bare corridor: along it the pose is from odometry alone, and distances may be wrong.",
+        "As in a bare corridor: the scans do not show how far along it the robot is, and distances may be wrong.",
     ),
 }
 COUNT_FINDINGS = {
