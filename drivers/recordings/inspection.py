@@ -192,8 +192,6 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
         warnings.append(f"{_count(scans.without_mount, 'scan')} without a lidar mount")
     if len(info.mounts) > 1:
         warnings.append(f"scans come from {len(info.mounts)} different lidar mounts")
-    if info.beams and info.beams[0] != info.beams[1]:
-        warnings.append(f"the number of beams varies between {info.beams[0]} and {info.beams[1]}")
     if info.invalid_share is not None and info.invalid_share > MAX_INVALID_SHARE:
         warnings.append(f"{100.0 * info.invalid_share:.0f} % of the beams have no return")
     if info.repeated_stamps > MAX_REPEATED_SHARE:
