@@ -104,9 +104,10 @@ class Slam:
     # --- input
 
     def add(self, message: Message) -> None:
-        """Add the next message. A scan is processed once odometry covers its sweep.
+        """Add the next Scan, Odometry, YawRate or InitialPose; GroundTruth is only passed on to the sinks.
 
-        Scans must come in the order of their stamps, and odometry too; a scan may come after later odometry.
+        A scan is processed once odometry covers its sweep. Scans must come in the order of their stamps, and odometry
+        too; a scan may come after later odometry.
         """
         message = delay_odometry(message, self.config.lidar.delay or 0.0)
         message = on_clock_of_first(message, self.config.second_lidar_delay)
