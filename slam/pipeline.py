@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 class Slam:
     """2-D SLAM with walls and corners: add messages in time order, read the pose at any time, then finish.
 
-    slam = Slam()
+    pipeline = Slam()
     for message in drivers.open("intel.clf"):
-        slam.add(message)
-    result = slam.finish()
+        pipeline.add(message)
+    result = pipeline.finish()
     """
 
     def __init__(
