@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .errors import DriverError, RecordingError, SlamError
-    from .messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
+    from .messages import GroundTruth, InitialPose, Message, Odometry, Scan, Source, SourceReport, YawRate
     from .recordings.inspection import RecordingInfo, inspect
     from .source_factory import open
 
 __all__ = [
     "DriverError",
     "GroundTruth",
+    "InitialPose",
     "Message",
     "Odometry",
     "RecordingError",
@@ -28,6 +29,7 @@ __all__ = [
     "SlamError",
     "Source",
     "SourceReport",
+    "YawRate",
     "inspect",
     "open",
 ]
@@ -35,6 +37,7 @@ __all__ = [
 _MODULES = {
     "DriverError": "errors",
     "GroundTruth": "messages",
+    "InitialPose": "messages",
     "Message": "messages",
     "Odometry": "messages",
     "RecordingError": "errors",
@@ -43,6 +46,7 @@ _MODULES = {
     "SlamError": "errors",
     "Source": "messages",
     "SourceReport": "messages",
+    "YawRate": "messages",
     "inspect": "recordings.inspection",
     "open": "source_factory",
 }

@@ -137,6 +137,7 @@ class SourceReport:
     recorded_stamps  stamp as read -> stamp as recorded, seconds, for stamps that were recorded wrongly and restored
     scan_topic       topic of the scans; None if there is none, as in formats without topics
     odometry_topic   the same of odometry; None also for odometry from transforms, which is an interpretation
+    gyroscope_topic  the same of the rates of a gyroscope
     """
 
     messages: int = 0
@@ -148,6 +149,7 @@ class SourceReport:
     recorded_stamps: dict[float, float] = field(default_factory=dict)
     scan_topic: str | None = None
     odometry_topic: str | None = None
+    gyroscope_topic: str | None = None
 
 
 @runtime_checkable

@@ -14,12 +14,12 @@ from slam import Slam
 recording = sys.argv[1] if len(sys.argv) > 1 else "sim:room?duration=10"
 
 # `drivers.open` returns a source of scans and odometry in time order. `Slam` processes them one by one.
-slam = Slam()
+pipeline = Slam()
 for message in drivers.open(recording):
-    slam.add(message)
+    pipeline.add(message)
 
-# The result contains a pose for every odometry stamp, and walls and corners with covariances.
-result = slam.finish()
+# The result contains a pose for every stamp of odometry and scans, and walls and corners with covariances.
+result = pipeline.finish()
 x, y, heading = result.poses[-1]
 print(f"{recording}: {len(result.stamps)} poses, the last at {x:.2f} m, {y:.2f} m, {np.degrees(heading):.1f} degrees")
 

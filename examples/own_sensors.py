@@ -34,16 +34,18 @@ def read_lidar(time: float, random: np.random.Generator) -> np.ndarray:
 config = Config.model_validate({"lidar": {"sigma_range": 0.01, "mount": (0.0, 0.0, 0.0)}})
 
 warm_up()  # compiles for a minute the first time; do this before driving
-slam = Slam(config)
+pipeline = Slam(config)
 random = np.random.default_rng(0)
 for step in range(100):
     time = step / RATE
-    slam.add(Odometry(time, read_wheels(time)))
+    pipeline.add(Odometry(time, read_wheels(time)))
     # The time offsets of the beams are used for de-skewing; zeros if all beams are measured at the same time.
-    slam.add(Scan(time, read_lidar(time, random), ANGLES, np.zeros(BEAMS), range_min=0.1, range_max=12.0))
+    pipeline.add(Scan(time, read_lidar(time, random), ANGLES, np.zeros(BEAMS), range_min=0.1, range_max=12.0))
     if step % 25 == 24:
-        x, y, heading = slam.pose  # use this pose for control
-        print(f"{time:4.1f} s: at {x:.3f} m, {y:.3f} m, {np.degrees(heading):6.1f} degrees; {len(slam.walls)} walls")
+        x, y, heading = pipeline.pose  # use this pose for control
+        print(
+            f"{time:4.1f} s: at {x:.3f} m, {y:.3f} m, {np.degrees(heading):6.1f} degrees; {len(pipeline.walls)} walls"
+        )
 
-result = slam.finish()
+result = pipeline.finish()
 print(f"the room has {len(result.walls)} walls and {len(result.corners)} corners")

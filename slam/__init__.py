@@ -8,10 +8,10 @@ import drivers
 from slam import Slam, warm_up
 
 warm_up()  # only needed online: compiles for a minute on the first run, so that no scan is delayed by it
-slam = Slam()
+pipeline = Slam()
 for message in drivers.open("intel.clf"):
-    slam.add(message)
-result = slam.finish()  # trajectory, walls and corners with covariances
+    pipeline.add(message)
+result = pipeline.finish()  # trajectory, walls and corners with covariances
 """
 
 from importlib import import_module

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Odometry
+from drivers.messages import GroundTruth, Odometry, Source
 
 from .config import Config
 from .errors import MapError
@@ -35,6 +35,9 @@ from .measuring.rooms import Room, find_rooms
 from .measuring.wall_map import WallMap
 from .pipeline import Slam
 
+if TYPE_CHECKING:
+    from .io.exports import Occupancy
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedRecording:
@@ -45,6 +48,7 @@ class MappedRecording:
     odometry  (m, 3) path by odometry alone, in the map; (0, 3) without odometry
     truth     true path in the map, aligned with the estimated one; None if the recording has none
     slam      pipeline that made it
+    source    recording as it was read
     """
 
     name: str
@@ -52,6 +56,7 @@ class MappedRecording:
     odometry: Floats
     truth: Trajectory | None
     slam: Slam
+    source: Source
 
     @property
     def walls(self) -> MapWalls:
@@ -74,6 +79,11 @@ class MappedRecording:
         return self.finished.poses
 
     @property
+    def keyframes(self) -> Keyframes:
+        """Stamps (k,) and poses (k, 3) of the keyframes, with covariances (k, 3, 3) in each pose's own frame."""
+        return Keyframes.of(self.finished)
+
+    @property
     def summary(self) -> dict[str, Any]:
         """Counts, learned values, loop decisions and suspects, as in `summary.json` under `slam`."""
         return self.finished.summary
@@ -90,6 +100,18 @@ class MappedRecording:
         """Return lengths, widths, angles and areas with standard deviations, as `wclm measure` does."""
         wall_map = self.wall_map()
         return measure_map(wall_map, find_rooms(wall_map))
+
+    def occupancy(self, resolution: float = 0.05) -> Occupancy:
+        """Return the occupancy grid of all scans, with cells of `resolution` metres, as `wclm map --format pgm` does.
+
+        `slam.io.exports.write_pgm` and `write_pgm_yaml` write it for ROS. Raises MapError if the grid would become too
+        large.
+        """
+        from .io.exports import OccupancyGrid, place_scans
+
+        grid = OccupancyGrid(resolution)
+        grid.add_all(place_scans(self.source, Trajectory(self.stamps, self.path), self.slam.config))
+        return grid.occupancy()
 
     def factor_graph(self) -> tuple[Any, Any]:
         """Return copies of the graph (gtsam.NonlinearFactorGraph) and of its estimate (gtsam.Values), for own factors.
@@ -109,14 +131,9 @@ class MappedRecording:
 
     def svg(self, measurements: Sequence[Measurement] = ()) -> str:
         """Return a drawing of map and path in the scale 1 : 100, with dimension lines of measurements, as SVG."""
-        covariance = self.finished.keyframe_covariance
-        poses = self.finished.keyframes
-        if covariance is None:
-            covariance = np.full((len(poses), 3, 3), np.nan)
-        keyframes = Keyframes(self.finished.keyframe_stamps, poses, covariance)
         summary = {"recording": self.name, "slam": self.summary}
         trajectory = Trajectory(self.stamps, self.path)
-        results = RunResults(Path(), self.walls, self.corners, trajectory, summary, keyframes)
+        results = RunResults(Path(), self.walls, self.corners, trajectory, summary, self.keyframes)
         return svg_text(results, MeasuredMap(measurements))
 
     def _repr_svg_(self) -> str:
@@ -181,7 +198,7 @@ def run(
     except MapError as error:
         raise MapError(f"{source.name}: {error}") from error
     by_odometry = odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3))
-    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam)
+    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam, source)
 
 
 def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:

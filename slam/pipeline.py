@@ -44,10 +44,10 @@ if TYPE_CHECKING:
 class Slam:
     """2-D SLAM with walls and corners: add messages in time order, read the pose at any time, then finish.
 
-    slam = Slam()
+    pipeline = Slam()
     for message in drivers.open("intel.clf"):
-        slam.add(message)
-    result = slam.finish()
+        pipeline.add(message)
+    result = pipeline.finish()
     """
 
     def __init__(
@@ -104,9 +104,10 @@ class Slam:
     # --- input
 
     def add(self, message: Message) -> None:
-        """Add the next message. A scan is processed once odometry covers its sweep.
+        """Add the next Scan, Odometry, YawRate or InitialPose; GroundTruth is only passed on to the sinks.
 
-        Scans must come in the order of their stamps, and odometry too; a scan may come after later odometry.
+        A scan is processed once odometry covers its sweep. Scans must come in the order of their stamps, and odometry
+        too; a scan may come after later odometry.
         """
         message = delay_odometry(message, self.config.lidar.delay or 0.0)
         message = on_clock_of_first(message, self.config.second_lidar_delay)

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import se2
 from ..elapsed import elapsed
-from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport
+from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport, YawRate
 from ..path_length import path_length
 from .odometry_speed import MIN_INTERVAL
 
@@ -41,12 +41,14 @@ class RecordingInfo:
     name: str
     scans: int = 0
     odometry: int = 0
+    yaw_rates: int = 0  # of a gyroscope
     ground_truth: int = 0
     start: float | None = None
     duration: float = 0.0
     scan_rate: float | None = None  # 1 / median period; scans per second if stamps are repeated
     repeated_stamps: float = 0.0  # share of the scans that have the stamp of the one before
     odometry_rate: float | None = None
+    gyroscope_rate: float | None = None
     beams: tuple[int, int] | None = None
     field_of_view: tuple[float, float] | None = None  # first and last angle, radians
     range_limits: tuple[float, float] | None = None  # as stated by the sensor
@@ -106,15 +108,21 @@ def inspect(source: Source) -> RecordingInfo:
     truth = 0
     stamps: list[float] = []
     poses: list[Floats] = []
+    yaw_rates: list[float] = []
     for message in source:
         if isinstance(message, Scan):
             scans.add(message)
         elif isinstance(message, Odometry):
             stamps.append(message.stamp)
             poses.append(message.pose)
+        elif isinstance(message, YawRate):
+            yaw_rates.append(message.stamp)
         elif isinstance(message, GroundTruth):
             truth += 1
-    info = RecordingInfo(source.name, len(scans.stamps), len(stamps), truth, report=source.report)
+    info = RecordingInfo(
+        source.name, len(scans.stamps), len(stamps), len(yaw_rates), ground_truth=truth, report=source.report
+    )
+    info.gyroscope_rate, _ = _rate_and_gaps(np.array(yaw_rates))
     _describe_scans(info, scans)
     times = np.array(stamps)
     _describe_odometry(info, times, np.array(poses).reshape(-1, 3))
@@ -177,15 +185,13 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
     if not info.scans:
         warnings.append("no scans")
     if not info.odometry:
-        warnings.append("no odometry")
+        warnings.append("no odometry: the motion comes from the scans alone")
     if info.scans and not info.mounts:
-        warnings.append("the mount of the lidar on the robot is not recorded")
+        warnings.append("the mount of the lidar on the robot is not recorded; lidar.mount=[x,y,heading] states it")
     elif scans.without_mount:
         warnings.append(f"{_count(scans.without_mount, 'scan')} without a lidar mount")
     if len(info.mounts) > 1:
         warnings.append(f"scans come from {len(info.mounts)} different lidar mounts")
-    if info.beams and info.beams[0] != info.beams[1]:
-        warnings.append(f"the number of beams varies between {info.beams[0]} and {info.beams[1]}")
     if info.invalid_share is not None and info.invalid_share > MAX_INVALID_SHARE:
         warnings.append(f"{100.0 * info.invalid_share:.0f} % of the beams have no return")
     if info.repeated_stamps > MAX_REPEATED_SHARE:

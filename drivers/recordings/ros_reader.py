@@ -120,7 +120,7 @@ class RosReader(RecordingReader):
         readings = [ranges_of(message) for message, _ in contents.sample(scans)]
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
         no_return = contents.find_no_return(scans, per_metre)
-        imu = self._choose_topic(contents, IMU, None)
+        imu = self.report.gyroscope_topic = self._choose_topic(contents, IMU, None)
         foreign, reason = self._foreign_scans
         if reason is not None:
             self.interpret(reason)

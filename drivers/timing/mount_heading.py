@@ -29,17 +29,17 @@ MAX_SCALE = 2.0
 MIN_DIFFERENCE = 0.35
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class MountHeading:
     """Heading of a lidar on its robot as found from a drive, radians in [-pi, pi).
 
-    stated   by the recording's scans; None if they do not state it
+    stated   mount (3,) that the recording's scans state; None if they state none
     found    from the drive
     sigma    standard deviation of `found`
     pairs    pairs of scans
     """
 
-    stated: float | None
+    stated: se2.Pose | None
     found: float
     sigma: float
     pairs: int
@@ -65,8 +65,7 @@ def estimate_mount_heading(turns: Turns) -> MountHeading | None:
     sigma = jackknife_sigma(se2.wrap(np.arctan2(without_one[:, 3], without_one[:, 2]) - found))
     if not 1.0 / MAX_SCALE < float(np.hypot(all_pairs[2], all_pairs[3])) < MAX_SCALE or not np.isfinite(sigma):
         return None
-    mount = turns.runs[0].scans[0].mount
-    return MountHeading(None if mount is None else float(mount[2]), found, sigma, len(equations))
+    return MountHeading(turns.runs[0].scans[0].mount, found, sigma, len(equations))
 
 
 def mount_equations(driven: Floats, observed: Floats) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..formatting import counted
 from ..geometry.segments import Integers
 from ..odometry.history import wheel_travel
 from .drive import Drive
@@ -112,7 +113,7 @@ def _suspect(drive: Drive, check: str, steps: Integers, worst: int, weight: floa
 
 def _motion(motion: se2.Pose) -> str:
     """Return length and turn of a motion as text."""
-    return f"{math.hypot(motion[0], motion[1]):.2f} m and {abs(math.degrees(motion[2])):.0f} degrees"
+    return f"{math.hypot(motion[0], motion[1]):.2f} m and {counted(round(abs(math.degrees(motion[2]))), 'degree')}"
 
 
 def _direction(motion: se2.Pose, other: se2.Pose) -> str:

@@ -8,8 +8,6 @@ from contextlib import contextmanager, suppress
 from threading import Timer
 from typing import TypeVar
 
-import typer
-
 EXIT_USER_ERROR = 2
 """Exit status of errors that the user can correct; typer uses the same for wrong usage."""
 EXIT_INTERRUPTED = 130
@@ -23,9 +21,14 @@ Item = TypeVar("Item")
 
 
 def print_message(text: str) -> None:
-    """Print `text` on stderr as one line that starts with `wclm: `. A terminal that is gone is no error."""
+    """Print `text` on stderr as one line that starts with `wclm: `. A terminal that is gone is no error.
+
+    It is written to `sys.stderr` itself, which a live table or progress bar replaces to print lines above itself;
+    `typer.echo` would write past it, and the next update would erase the line.
+    """
     with suppress(OSError):
-        typer.echo(f"wclm: {printable(' '.join(text.split()))}", err=True)
+        sys.stderr.write(f"wclm: {printable(' '.join(text.split()))}\n")
+        sys.stderr.flush()
 
 
 def printable(text: str) -> str:

@@ -26,9 +26,8 @@ CHECK_INTERVAL = 1.5
 MAX_ADDED_CONTRADICTION = 0.45
 # Checks in a row that must exceed it: single ones are caused by doors and people. Origin: chosen; not measured.
 CONFIRMING_CHECKS = 2
-
-# Scans for which a closure is monitored: keyframes measure the distance, and in familiar places there are none for
-# days. Origin: chosen, ten minutes of a common lidar; the distance takes some minutes.
+# Scans for which a closure is monitored at most, as the driven distance grows with keyframes only, and a robot that
+# stays in familiar places adds none. Origin: chosen, ten minutes of a common lidar; the distance takes some minutes.
 MONITORED_SCANS = 5000
 
 
@@ -71,7 +70,8 @@ class ClosureMonitor:
     def contradicted(self, mapper: Mapper, *, lost: bool) -> MonitoredClosure | None:
         """Return the oldest contradicted closure with its decision retracted, and stop monitoring it.
 
-        `lost` is True if tracking was lost since. Later closures rest on it and are dropped too.
+        `lost` is True if tracking is lost: then the oldest monitored closure counts as contradicted. Closures after the
+        contradicted one are not monitored any more, since they are undone with it.
         """
         travelled = mapper.travelled[-1]
         self._closures = [

@@ -50,8 +50,9 @@ def point_motions_of(state: SlamState, scan: ProcessedScan, tracking: TrackingRe
     """Return the pose of a scan relative to old keyframes nearby, by its points that are on no known wall.
 
     It is measured relative to the oldest one by the surfaces that this one has seen, and relative to later ones by the
-    others. Relative to the oldest one they would count the errors of all keyframes since as measured; relative to the
-    latest one, those that were seen long ago would not hold the drift since then.
+    other surfaces. If all surfaces counted relative to the oldest one, the errors of the keyframes that have placed the
+    newer surfaces would count as measured, too. If all counted relative to the latest one, surfaces that were seen long
+    ago would not limit the drift since then.
     """
     field, registration = state.local_field, tracking.registration
     references = field.references(state.pose)

@@ -61,9 +61,10 @@ class SlamState:
     pose                 (3,) of the base in the map at the last tracked scan
     local_map            landmarks around the robot
     local_field          distance field of the keyframes around the robot
-    anchor               reference of the next motion; None before the first keyframe
+    anchor               start of the motion to the next keyframe; None before the first keyframe
+    learned_until        end of the last motion that odometry's errors were learned from; None if that is the anchor
     kidnapped            True if the robot was moved since the anchor without odometry noticing
-    kidnapped_keyframes  keyframes reached in this way
+    kidnapped_keyframes  indices of the keyframes before which it was moved in this way
     frozen               True if only the trajectory is estimated and the map stays as it is
     plan                 plan of the building that supports the map; None without one
     untracked_scans      the last scans in a row that fitted nowhere, or only tentatively

@@ -1,4 +1,4 @@
-"""Tracking state that a session stores, with the reference of the next motion."""
+"""State of tracking that a session stores, so that a continued run goes on from it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from ..localisation.tracking import TrackerState
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchor:
-    """Reference of the next motion: a pose on the trajectory, stored relative to a keyframe.
+    """Pose on the trajectory from which the motion to the next keyframe is measured.
 
-    relative    (3,) [x, y, heading] in the keyframe's frame
+    It is stored relative to a keyframe, since that may be moved before the next one comes.
+
+    keyframe    index of the keyframe
+    relative    (3,) [x, y, heading] in the keyframe's frame, metres and radians
     covariance  (3, 3) of `relative`, in its own frame
-    odometry    (3,) odometry pose at the anchor
+    odometry    (3,) odometry pose at the same time
     """
 
     keyframe: int
@@ -29,14 +32,14 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackingCheckpoint:
-    """Tracking state that a session stores.
+    """State of tracking that a session stores.
 
     tracker              state of the tracker; None before the first scan
     field                state of the local field
-    anchor               reference of the next motion; None before the first keyframe
+    anchor               start of the motion to the next keyframe; None before the first keyframe
     kidnapped            True if the robot was moved since the anchor without odometry noticing
-    kidnapped_keyframes  keyframes reached in this way
-    learned_until        end of the last motion that was learned from, if it is not the anchor
+    kidnapped_keyframes  indices of the keyframes before which it was moved in this way
+    learned_until        end of the last motion that odometry's errors were learned from; None if that is the anchor
     """
 
     tracker: TrackerState | None

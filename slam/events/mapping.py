@@ -28,7 +28,7 @@ class KeyframeAdded:
     new_walls        ids of the walls first seen here
     sigma_range      estimated standard deviation of a range, metres
     timings          milliseconds by stage
-    counts           sizes of graph and map
+    counts           numbers of walls, corners and keyframes in the map, by these names
     """
 
     index: int

@@ -39,7 +39,7 @@ class Finished:
     walls, corners       walls and corners with marginal covariances
     keyframe_stamps      (k,) seconds
     keyframes            (k, 3) poses
-    stamps               (m,) seconds of all odometry readings
+    stamps               (m,) seconds of all odometry readings and scans
     poses                (m, 3) of the base in the map at these stamps
     summary              counts, timings and learned values, as plain data
     keyframe_covariance  (k, 3, 3) in each keyframe's own frame; None if they were not requested

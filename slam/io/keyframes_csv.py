@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import MapError
 from ..geometry.segments import Floats
+
+if TYPE_CHECKING:
+    from ..events import Finished
 
 COLUMNS = ("stamp", "x", "y", "heading", "xx", "xy", "xh", "yy", "yh", "hh")
 UPPER_TRIANGLE = np.triu_indices(3)
@@ -26,6 +30,14 @@ class Keyframes:
     stamps: Floats
     poses: Floats
     covariance: Floats
+
+    @classmethod
+    def of(cls, finished: Finished) -> Keyframes:
+        """Return the keyframes of a finished run."""
+        covariance = finished.keyframe_covariance
+        if covariance is None:
+            covariance = np.full((len(finished.keyframes), 3, 3), np.nan)
+        return cls(finished.keyframe_stamps, finished.keyframes, covariance)
 
     def __len__(self) -> int:
         return len(self.stamps)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -32,7 +31,8 @@ class RecordingTiming:
     delay           delay of the lidar as found; None if it was not looked for, or is not determined
     used_delay      seconds that are compensated
     mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
-    used_heading    heading of the mount that is used, radians, if neither recording nor settings state any; else None
+    stated_mount    mount of the lidar by the settings, else by the recording: x, y (metres), heading; None if neither
+                    states one
     turn_doubts     what is probably wrong with the turns of odometry, as lines of text
     """
 
@@ -41,7 +41,7 @@ class RecordingTiming:
     delay: Delay | None = None
     used_delay: float = 0.0
     mount_heading: MountHeading | None = None
-    used_heading: float | None = None
+    stated_mount: tuple[float, float, float] | None = None
     turn_doubts: tuple[str, ...] = ()
 
     @classmethod
@@ -61,18 +61,24 @@ class RecordingTiming:
         if reader is None:
             return cls(used_delay=set_delay or 0.0)
         test = reader.beam_order_test if reader.set_beam_times is None else None
-        mount = None if lidar is None else lidar.mount
-        heading = _contradicting(reader.mount_heading, mount)
-        used_heading = None
-        if heading is not None and heading.stated is None and mount is None:
-            used_heading = heading.found
+        heading, mount = reader.mount_heading, None if lidar is None else lidar.mount
+        if heading is not None and heading.stated is not None and mount is None:
+            x, y, direction = heading.stated.tolist()
+            mount = x, y, direction
+        if heading is not None and not heading.contradicts(0.0 if mount is None else mount[2]):
+            heading = None
         turns = reader.odometry_turns
         doubts = () if turns is None else tuple(turns.doubts(corrected=reader.reason_to_mirror is not None))
         if set_delay is not None:
-            return cls(reader.beam_times, test, None, set_delay, heading, used_heading, doubts)
+            return cls(reader.beam_times, test, None, set_delay, heading, mount, doubts)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beam_times, test, delay, used, heading, used_heading, doubts)
+        return cls(reader.beam_times, test, delay, used, heading, mount, doubts)
+
+    @property
+    def used_heading(self) -> float | None:
+        """Heading of the mount that is used, radians, if neither recording nor settings state any; else None."""
+        return None if self.mount_heading is None or self.stated_mount is not None else self.mount_heading.found
 
     def compensated(self, config: Config) -> Config:
         """Return the settings with the delay that is compensated, and the heading of a mount that is not stated."""
@@ -122,7 +128,7 @@ class RecordingTiming:
         if self.used_delay:
             settings.append(f"lidar.delay={self.used_delay:.4f}")
         if self.used_heading is not None:
-            settings.append(f"lidar.mount=[0,0,{self.used_heading:.4f}]")
+            settings.append(f"lidar.mount=[0,0,{self.used_heading:z.4f}]")
         return settings
 
     def corrections(self) -> list[str]:
@@ -138,18 +144,20 @@ class RecordingTiming:
 
     def doubts(self) -> list[str]:
         """Return what is probably wrong with the lidar's mount or the turns of odometry, as lines of text."""
-        if self.mount_heading is None or self.used_heading is not None or self.turn_doubts:
+        if self.mount_heading is None or self.stated_mount is None or self.turn_doubts:
             return list(self.turn_doubts)
+        x, y, heading = self.stated_mount
         return [
-            f"the lidar seems to be turned by {self._turn()} on the robot, which its mount does not state: set "
-            f"lidar.mount=[0,0,{self.mount_heading.found:.2f}], or estimate it by `wclm calibrate`"
+            f"the lidar seems to be turned by {self._turn()} on the robot, but by {math.degrees(heading):z.0f} by its "
+            f"mount: set lidar.mount=[{x:z.3g},{y:z.3g},{self.mount_heading.found:z.2f}], or estimate it by "
+            "`wclm calibrate`"
         ]
 
     def _turn(self) -> str:
         """Return the heading of the mount as found, as text."""
         assert self.mount_heading is not None
         found, sigma = (math.degrees(value) for value in (self.mount_heading.found, self.mount_heading.sigma))
-        return f"{found:.0f} ± {sigma:.0f} degrees"
+        return f"{found:z.1f} ± {sigma:.1f} degrees"
 
 
 def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, RecordingTiming | None]:
@@ -163,14 +171,6 @@ def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, Reco
         second = second.beside(first)
     lidar = config.second_lidar.model_copy(update={"delay": second.used_delay})
     return config.model_copy(update={"second_lidar": lidar}), first, second
-
-
-def _contradicting(found: MountHeading | None, mount: Sequence[float] | None) -> MountHeading | None:
-    """Return the heading of a lidar if it contradicts the mount in the settings, else that of the scans."""
-    if found is None:
-        return None
-    supposed = found.stated if mount is None else mount[2]
-    return found if found.contradicts(supposed or 0.0) else None
 
 
 def _described(times: BeamTimes, test: BeamOrderTest | None) -> str:

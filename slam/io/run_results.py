@@ -64,10 +64,7 @@ def write_results(directory: Path, finished: Finished, config: Config, summary: 
     """
     stamps = as_recorded(finished.stamps, summary)
     write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses), stamps)
-    covariance = finished.keyframe_covariance
-    if covariance is None:
-        covariance = np.full((len(finished.keyframes), 3, 3), np.nan)
-    write_keyframes(directory / KEYFRAMES, Keyframes(finished.keyframe_stamps, finished.keyframes, covariance))
+    write_keyframes(directory / KEYFRAMES, Keyframes.of(finished))
     write_map(directory / MAP, finished.walls, finished.corners)
     (directory / CONFIG).write_text(config_to_toml(config), encoding="utf-8")
     write_json(directory / SUMMARY, summary)

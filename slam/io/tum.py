@@ -165,7 +165,7 @@ def read_table(path: Path, columns: int, meaning: str) -> NumberTable:
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise MapError(f"{path}: is not a text file") from error
+        raise MapError(f"{path}: is not a text file; expected lines of {meaning}") from error
     except OSError as error:
         raise MapError(f"{path}: {error.strerror or error}") from error
     for number, line in enumerate(text.splitlines(), start=1):

@@ -33,7 +33,7 @@ from ..mapping.mapper import Mapper
 from .criteria import MIN_INDEPENDENT, MIN_KNOWN, SUPPORT_RATIO, differ, fits, is_determined
 from .decision import LoopDecision, LoopMatch
 from .judgement import Judgement
-from .look import MAX_PLACES, Look, Submaps
+from .look import Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
@@ -44,6 +44,8 @@ SEARCH_INTERVAL = 2.0
 # Share of the best match's quality from which another one at the same look is supported too.
 # Origin: chosen; not measured.
 RIVAL_QUALITY = 0.9
+# Old places that are searched at a look. Origin: chosen, for time; within MEMORY 160 of them are searched.
+MAX_PLACES = 8
 # Places beyond the estimate's uncertainty that are searched at a look. Origin: chosen, for time; within MEMORY 40 of
 # them are searched.
 DOUBTED_PLACES = 2
@@ -215,7 +217,7 @@ class LoopAgreement:
         return settled
 
     def _find(self, look: Look, places: Sequence[int], most: int = MAX_PLACES) -> list[Vote]:
-        """Return the matches with old places, at most some: those that were not searched for the longest time."""
+        """Return the matches with old places. At most `most` are searched: those whose last search is longest ago."""
         chosen = sorted(places, key=lambda place: self._searched.get(place, -np.inf))[:most]
         self._searched |= dict.fromkeys(chosen, look.travelled)
         return find_votes(look, chosen, self._search_place)

@@ -18,7 +18,7 @@ class Judgement:
 
     look        last look
     estimate    hypothesis that nothing has to be corrected
-    hypotheses  all that are followed, with the estimate unless it is none
+    hypotheses  all that are followed; the estimate is one of them, except with `joins`
     returns     metres driven up to each look that agrees with the estimate
     joins       true if the places are in parts of the map that are not connected with the last keyframe
     """

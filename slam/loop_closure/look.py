@@ -1,7 +1,6 @@
 """A look at old places: the points of the last keyframes, matched with those of earlier passes.
 
-The old places are those where the robot may be by the uncertainty of the estimate. If there are more than can be
-searched at once, those that were not searched for the longest time come first.
+The old places are those where the robot may be by the uncertainty of the estimate.
 """
 
 from __future__ import annotations
@@ -25,9 +24,8 @@ from .submap_search import SUBMAP_LENGTH, Submap, SubmapMatch, build_submap, imp
 
 # Metres of driving between the middles of the submaps of old places. Origin: definition, half a submap.
 SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
-# Submaps of old places that are kept, and places that are searched at a look. Origin: chosen, for memory and time.
+# Submaps of old places that are kept. Origin: chosen, for memory.
 MAX_SUBMAPS = 16
-MAX_PLACES = 8  # Origin: as MAX_SUBMAPS.
 
 
 class Submaps:
@@ -60,12 +58,15 @@ class Submaps:
 
 
 class Look:
-    """The submap of the last keyframe, or of another one, to be matched with those of old places.
+    """The submap that ends at a keyframe, to be matched with the submaps of old places.
 
-    among     (k,) keyframes that may be old places; None for all
-    apart     true if they are in parts of the map that are not connected with the keyframe; else only those of earlier
-              passes are old places
-    keyframe  the other one
+    An old place is named by the keyframe in the middle of its submap. By default old places are those of earlier
+    passes: the robot has driven more than two submaps since.
+
+    among     (k,) true for keyframes that may belong to old places; None for all
+    apart     true if old places are in a part of the map that is not connected with the keyframe's: then they may be
+              at any distance driven
+    keyframe  index of the keyframe; None for the last one
     doubted   true if the errors of the estimate may be correlated along the drive, see `RelativeUncertainty`
     """
 
@@ -98,15 +99,15 @@ class Look:
 
     @property
     def submap(self) -> Submap:
-        """Submap of the last keyframes."""
+        """Submap that ends at the keyframe of the look, in its frame."""
         if self._submap is None:
             recent = self._ways > self._ways[self.last] - SUBMAP_LENGTH
             recent[self.last + 1 :] = False
             self._submap = _build(self._place(np.flatnonzero(recent), self.last), self._field)
         return self._submap
 
-    def reference(self, old: int) -> Submap:
-        """Return the submap around an old keyframe."""
+    def old_submap(self, old: int) -> Submap:
+        """Return the submap of an old place, in the frame of the keyframe in its middle."""
         return self._submaps.get(old, self._place_around, self._field)
 
     def _place_around(self, old: int) -> OldPlace:
@@ -125,12 +126,14 @@ class Look:
         return int(self._old[near.argmax()]) if near.any() else None
 
     def possible_places(self) -> list[int]:
-        """Return the places where the robot may be by the uncertainty of the estimate.
+        """Return the old places where the robot may be by the uncertainty of the estimate.
 
-        Places closer together than REFERENCE_DISTANCE are represented by the oldest of them.
+        Of places closer together than REFERENCE_DISTANCE the oldest one stands for all. Covariances relative to a place
+        take long to compute. So places are first left out by an upper bound of the standard deviation: the sum of those
+        of both positions.
         """
-        poses, spread = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
-        deviations = self.uncertainty.error_scale(self._old, self.last) * (spread[self._old] + self._spread(spread))
+        poses, sigmas = self._mapper.keyframe_poses, _position_sigmas(self._mapper.pose_covariances)
+        deviations = self.uncertainty.error_scale(self._old, self.last) * (sigmas[self._old] + self._last_sigma(sigmas))
         bound = SEARCH_DEVIATIONS * (deviations + UNMODELLED_SIGMAS[0])
         chosen = list[int]()
         for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
@@ -140,12 +143,15 @@ class Look:
         reach = {old: self.uncertainty.search_radius(old) + REFERENCE_DISTANCE for old in chosen}
         return [old for old in chosen if np.hypot(*(poses[old, :2] - self.pose[:2])) < reach[old]]
 
-    def _spread(self, spread: Floats) -> float:
-        """Return the standard deviation (metres) of the last position, given those (k,) of all in their own parts."""
+    def _last_sigma(self, sigmas: Floats) -> float:
+        """Return the standard deviation of the last position in the part of the map with the old places, metres.
+
+        sigmas  (k,) of the positions of all keyframes, each in its own part
+        """
         if not self._apart or not len(self._old):
-            return float(spread[self.last])
-        nearest = int(self._old[-1])
-        return float(spread[nearest] + self.uncertainty.deviation(nearest))
+            return float(sigmas[self.last])
+        newest = int(self._old[-1])
+        return float(sigmas[newest] + self.uncertainty.deviation(newest))
 
     def relative(self, old: int, motion: se2.Pose) -> se2.Pose:
         """Return the pose of the submap in that of an old place, if the robot is moved in the map by `motion`."""
@@ -164,9 +170,9 @@ class Look:
         return squared_distance(self.relative(old, np.zeros(3)), relative, self.uncertainty.covariance(old))
 
     def compared_points(self, old: int) -> tuple[Floats, Floats]:
-        """Return the points of the submap (n, 2) and of that of an old place (m, 2), in the map."""
+        """Return the points (n, 2) of the submap and those (m, 2) of an old place's, both in the map, metres."""
         recent = se2.transform(self.pose, self.submap.points[:, :2])
-        return recent, se2.transform(self._mapper.keyframe_poses[old], self.reference(old).points[:, :2])
+        return recent, se2.transform(self._mapper.keyframe_poses[old], self.old_submap(old).points[:, :2])
 
     def keyframe_at(self, travelled: float) -> int:
         """Return the first keyframe from a distance driven (metres) on."""
@@ -192,8 +198,8 @@ class Look:
     def _are_consistent(self, match: LoopMatch, other: LoopMatch) -> bool:
         """Return True if the motion from one match to another over the old map agrees with the estimate.
 
-        The covariance of the estimate takes long, and makes the distance only smaller: it is needed if that of the
-        matches does not suffice.
+        Adding the covariance of the estimate can only make the distance smaller, and takes long to compute. So it is
+        added only if the distance by the covariances of the matches alone is too large.
         """
         poses = self._mapper.keyframe_poses
         over_old = se2.between(*(se2.compose(poses[m.old], m.relative) for m in (match, other)))
@@ -212,22 +218,23 @@ class Look:
             prediction = np.array([0.0, 0.0, prediction[2]])
         reach = min(REFERENCE_DISTANCE, reach)
         turn = SEARCH_DEVIATIONS * float(np.sqrt(self.uncertainty.covariance(old)[2, 2]))
-        found = search_submap(self.submap, self.reference(old), prediction, reach, turn)
+        found = search_submap(self.submap, self.old_submap(old), prediction, reach, turn)
         return [match for match in found if self.admits(old, match.pose)]
 
     def test(self, old: int, motion: se2.Pose, since: int) -> SubmapMatch:
-        """Return the match of the submap with an old place near the pose by a hypothesis.
+        """Return the match of the submap with an old place near the pose that a hypothesis implies.
 
-        since  keyframe at which the hypothesis was tested before; if scans do not determine the motion from there on,
-               the poses within its uncertainty are searched
+        motion  of the hypothesis, in the map
+        since   keyframe of the last look that supports the hypothesis. If scans do not determine the motion from there
+                on, all poses within the uncertainty of this motion are searched
         """
         start = self.relative(old, motion)
-        match = improve(self.submap, self.reference(old), start)
+        match = improve(self.submap, self.old_submap(old), start)
         if self._field.is_undetermined(since, self.last):
             covariance = self._mapper.covariances.relative(since, self.last)
             sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
             turn = SEARCH_DEVIATIONS * float(np.sqrt(covariance[2, 2]))
-            found = search_submap(self.submap, self.reference(old), start, SEARCH_DEVIATIONS * sigma, turn)
+            found = search_submap(self.submap, self.old_submap(old), start, SEARCH_DEVIATIONS * sigma, turn)
             distances = [squared_distance(start, m.pose, covariance + m.covariance) for m in found]
             within = [m for m, squared in zip(found, distances, strict=True) if squared < MAX_SQUARED_DISTANCE]
             match = max([match, *within], key=lambda m: m.score)

@@ -42,6 +42,6 @@ def find_votes(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
 
 
 def is_recognised(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> bool:
-    """Return True if a vote fits with which the estimate's uncertainty admits a closure."""
+    """Return True if the look fits an old place at a pose for which the estimate's uncertainty admits a closure."""
     fitting = [*found, *(vote for _, vote in tested if vote is not None and fits(vote.match))]
     return any(look.squared_distance(vote.old, vote.match.pose) < MAX_CLOSED_DISTANCE for vote in fitting)

@@ -24,8 +24,8 @@ MAX_POINT_UNITS = 2e6
 # Metres between a point and the line of a segment on which it lies.
 # Origin: chosen; not measured.
 LINE_DISTANCE = 0.1
-# Half lengths from the middle of a segment up to which its line continues.
-# Origin: chosen, as long again on either side; not measured.
+# Half lengths of a segment, from its middle, up to which points are on its line.
+# Origin: chosen, the segment's length beyond either end; not measured.
 CONTINUATION = 3.0
 # Neighbours on each side, within a radius in metres, to which a line is fitted. Origin: chosen; not measured.
 NORMAL_NEIGHBOURS = 4
@@ -40,7 +40,8 @@ MAX_FLATNESS = 0.02
 class ScanPoints:
     """Points of one scan in the base's frame.
 
-    They are multiples of POINT_UNIT, and stored as such: all scans of a drive are kept, and points are most of a scan.
+    They are stored as multiples of POINT_UNIT to save memory: all scans of a drive are kept, and most of the memory of
+    a scan is that of its points.
     """
 
     __slots__ = ("_units",)
@@ -140,7 +141,7 @@ def _set_normal(points, k):  # type: ignore[no-untyped-def]
     The line has the direction of the larger eigenvector of the neighbours' covariance.
     """
     n, x, y, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    beams_x, beams_y = 0.0, 0.0  # direction of the beams' ends
+    beams_x, beams_y = 0.0, 0.0  # direction in which the ends of successive beams move along the surface
     for j in range(max(0, k - NORMAL_NEIGHBOURS), min(len(points), k + NORMAL_NEIGHBOURS + 1)):
         dx, dy = points[j, 0] - points[k, 0], points[j, 1] - points[k, 1]
         if dx * dx + dy * dy < NORMAL_RADIUS * NORMAL_RADIUS:

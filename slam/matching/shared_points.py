@@ -31,14 +31,15 @@ SHARED, NEW, MOVED = 0, 1, 2
 def split_information(
     information: Floats, references: Sequence[Floats], points: Floats, relatives: Sequence[se2.Pose]
 ) -> list[tuple[int, Floats]]:
-    """Return the information of a match (3, 3) relative to those of several references that it measures, by row.
+    """Divide the information of a match among several references: return (row of a reference, its part (3, 3)) pairs.
 
-    Surfaces that the oldest reference has seen count relative to this one. Those that are left count relative to the
-    next one if it has seen at least half of them, and so on; what is left in the end, relative to the latest one. A
-    reference for each few points would only make the graph larger.
+    References of which the match measures nothing are left out. Surfaces that the oldest reference has seen count
+    relative to this one. Those that are left count relative to the next one if it has seen at least half of them, and
+    so on; what is left in the end, relative to the latest one. A reference for each few points would only make the
+    graph larger.
 
     With the information A of all points of the scan and B of some of them, the part of M that is from these is
-    M^(1/2) A^(-1/2) B A^(-1/2) M^(1/2), with symmetric roots: M may be from some of the points only.
+    M^(1/2) A^(-1/2) B A^(-1/2) M^(1/2), with symmetric roots. M need not be from all points of the scan.
 
     information  M, of the scan's pose in its own frame
     references   (p, 4) points of each reference with their normals, in its frame, the oldest one first

@@ -116,6 +116,6 @@ def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> C
 
 
 def _sizes(mapper: Mapper) -> dict[str, int]:
-    """Return the sizes of map and graph."""
+    """Return the sizes of the map."""
     landmarks = mapper.landmarks
-    return {"walls": len(landmarks.walls), "corners": len(landmarks.corners), "factors": mapper.graph.factor_count}
+    return {"walls": len(landmarks.walls), "corners": len(landmarks.corners), "keyframes": mapper.keyframe_count}

@@ -127,7 +127,7 @@ class Corridor:
             sigma_range=0.011,
             timings={"features": 1.0 + 0.2 * len(once), "registration": 2.0, "graph": 3.0 + 0.01 * index}
             | ({"closing": 6.0 + index / 20} if index in (20, 40) else {}),
-            counts={"walls": int((self.seen > 0).sum()), "corners": len(seen), "factors": 8 * index},
+            counts={"walls": int((self.seen > 0).sum()), "corners": len(seen), "keyframes": index + 1},
         )  # fmt: skip
 
     def scan(self, frames, near):

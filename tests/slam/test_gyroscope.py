@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import drivers
 from drivers import se2
@@ -15,6 +17,7 @@ from drivers.messages import GroundTruth, Message, Odometry, YawRate
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation
 from slam import Config, Slam
+from slam.cli.app import app
 from slam.config import OdometryConfig
 from slam.evaluation.metrics import score_reference
 from slam.events import Finished
@@ -84,6 +87,8 @@ def test_rates_are_recorded_and_read_again(drive: list[Message], tmp_path: Path)
     read = [message for message in drivers.open(str(tmp_path / "drive.mcap")) if isinstance(message, YawRate)]
     np.testing.assert_array_equal([m.rate for m in read], [m.rate for m in rates])
     np.testing.assert_allclose([m.stamp for m in read], [m.stamp for m in rates], atol=1e-9)
+    described = " ".join(CliRunner().invoke(app, ["info", str(tmp_path / "drive.mcap")]).output.split())
+    assert re.search(rf"gyroscope {len(rates)}, \S+ per second, from /imu", described)
 
 
 def test_a_silent_gyroscope_measures_no_turn() -> None:

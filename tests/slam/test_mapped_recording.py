@@ -19,6 +19,7 @@ from drivers.messages import Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import Simulation
 from slam.errors import SlamError
+from slam.io.exports import write_pgm
 from slam.io.tum import read_tum_poses
 
 ROOM = "sim:room?duration=10&seed=2"
@@ -56,6 +57,21 @@ def test_it_measures_rooms_and_draws_dimension_lines(mapped: slam.MappedRecordin
     measurements = mapped.measurements()
     assert max(one.value for one in measurements if one.kind == "area") == mapped.rooms()[0].area
     assert 'class="dimensions"' in mapped.svg(measurements)
+
+
+def test_it_has_an_occupancy_grid_and_the_covariances_of_the_keyframes(
+    wclm: Any, mapped: slam.MappedRecording, tmp_path: Path
+) -> None:
+    assert wclm("run", ROOM, "--out", "map", "--no-review").exit_code == 0
+    assert wclm("map", "map", "--format", "pgm").exit_code == 0
+    occupancy = mapped.occupancy()
+    write_pgm(tmp_path / "map.pgm", occupancy)
+    with Image.open(tmp_path / "map" / "map.pgm") as exported, Image.open(tmp_path / "map.pgm") as written:
+        assert written.size == exported.size == occupancy.cells.shape[::-1]
+        assert np.mean(np.asarray(written) != np.asarray(exported)) < 0.01  # trajectories in files are rounded
+    keyframes = mapped.keyframes
+    assert keyframes.covariance.shape == (len(keyframes), 3, 3)
+    assert np.linalg.eigvalsh(keyframes.covariance[1:]).min() > 0.0
 
 
 def test_it_plots_into_a_file(mapped: slam.MappedRecording, tmp_path: Path) -> None:

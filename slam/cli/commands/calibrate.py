@@ -70,7 +70,7 @@ def _lines(result: Calibration) -> list[str]:
         f"bias      {bias:.4f} ± {bias_sigma:.4f} m of the ranges",
         f"data      {result.pairs} motions between keyframes, {result.turned:.0f} rad of rotation",
         f"lidar: mount={x:.4f},{y:.4f},{heading:.4f}",
-        f"wclm run: --set lidar.range_bias={bias:.4f}",
+        f"wclm run: --set 'lidar.mount=[{x:.4f},{y:.4f},{heading:.4f}]' --set lidar.range_bias={bias:.4f}",
     ]
 
 

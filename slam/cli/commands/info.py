@@ -63,6 +63,9 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     rows.append(
         ("odometry", _count(found.odometry, found.odometry_rate) + driven + _source(found.report.odometry_topic))
     )
+    if found.yaw_rates:
+        source = _source(found.report.gyroscope_topic)
+        rows.append(("gyroscope", _count(found.yaw_rates, found.gyroscope_rate) + source))
     rows += [("timing", text) for text in timing.findings()]
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))

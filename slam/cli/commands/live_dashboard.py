@@ -17,6 +17,7 @@ from ...events import (
     ScanTracked,
     StateChanged,
 )
+from ...formatting import counted
 from ...loop_closure.loop_status import LoopStatus
 from ..console import print_message
 from ..device_monitor import Rates, format_faults
@@ -89,7 +90,7 @@ class LiveDashboard:
             table.add_row(
                 "overlap", f"{100 * self._scan.overlap_ratio:.0f} % of the observed wall length is in the map"
             )
-        table.add_row("map", ", ".join(f"{count} {name}" for name, count in self._counts.items()))
+        table.add_row("map", ", ".join(counted(count, name.removesuffix("s")) for name, count in self._counts.items()))
         table.add_row("loops", ", ".join(f"{count} {name}" for name, count in self._loops.items()) or "none")
         if self._notice:
             table.add_row("notice", self._notice)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...config import Config, config_to_toml
 from ...errors import MapError
+from ...formatting import counted
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, REVIEW, OutputDirectory
 from ...io.recordings import absolute_recording, open_source
@@ -158,8 +159,8 @@ def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
         ("after", f"{changed['factors_after']} factors, cost {changed['cost_after']:.6g}{_comparable(changed)}"),
         (
             "changed",
-            f"{changed['associations_changed']} associations, {changed['walls_merged']} walls merged, "
-            f"in {changed['iterations']} iterations",
+            f"{counted(changed['associations_changed'], 'association')}, "
+            f"{counted(changed['walls_merged'], 'wall')} merged, in {counted(changed['iterations'], 'iteration')}",
         ),
         ("moved", _moved(changed)),
         ("time", f"{summary['optimisation_seconds']:.1f} s, {summary['peak_memory_mib']:.0f} MiB"),

@@ -84,7 +84,7 @@ class Adversary:
         found = []
         for _ in range(RANDOM_STARTS):
             start = se2.compose(estimate, self._random.uniform(-limits, limits))
-            match = improve(look.submap, look.reference(old), start)
+            match = improve(look.submap, look.old_submap(old), start)
             wrong = all(are_distinct(match.pose, pose) for pose in (estimate, *(other.pose for other in true)))
             found.append((wrong, match.score, match))
         return max(found, key=lambda item: item[:2])[2]

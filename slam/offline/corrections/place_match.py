@@ -49,7 +49,7 @@ def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | N
     matches = list[SubmapMatch]()
     for prediction, reach, turn in searches:
         if not matches:
-            found = search_submap(look.submap, look.reference(old), prediction, reach, turn)
+            found = search_submap(look.submap, look.old_submap(old), prediction, reach, turn)
             matches = [match for match in found if _fits(match) and is_determined(match)]
     if not matches:
         raise MapError(f"{name} are not one place: {_misfit(found)}")

@@ -39,7 +39,7 @@ STATUS_FINDINGS = {
     ),
     "DEGENERATE": (
         "one direction was degenerate",
-        "As in a bare corridor: along it the pose is from odometry alone, and distances may be wrong.",
+        "As in a bare corridor: the scans do not show how far along it the robot is, and distances may be wrong.",
     ),
 }
 COUNT_FINDINGS = {
@@ -189,8 +189,9 @@ def _odometry_findings(odometry: dict[str, Any]) -> Iterator[Finding]:
     names = [name for name, limit in MOUNT_ERRORS.items() if _is_beyond(systematic.get(name), limit)]
     if names:
         yield Finding(
-            f"The lidar is not where `lidar.mount` says, relative to the axle: {_mount_error(systematic)}.",
-            "The map is corrected for it. `wclm calibrate` measures the mount.",
+            f"The lidar is not where its mount says, relative to the axle: {_mount_error(systematic)}.",
+            "Its mount is `lidar.mount`, else that of the recording, else the origin of the base. The map is corrected "
+            "for the difference. `wclm calibrate` measures the mount.",
         )
 
 

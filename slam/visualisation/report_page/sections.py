@@ -248,6 +248,7 @@ def details(summary: dict[str, Any], settings: str) -> str:
         ("estimated bends of walls, metres", (slam.get("wall_bends") or {}).get("sigma")),
         ("estimated systematic errors of odometry", _systematic_errors(slam.get("odometry") or {})),
         ("estimated random errors of odometry", _random_errors(slam.get("odometry") or {})),
+        ("estimated bias of the gyroscope", _gyroscope_bias(slam.get("gyroscope"))),
         *(summary.get("versions") or {}).items(),
     )
     rows = "".join(
@@ -276,6 +277,10 @@ def _random_errors(odometry: dict[str, Any]) -> str | None:
         f"position {errors['along']:g} m/m along and {errors['across']:g} m/m across the motion, heading "
         f"{errors['heading_per_metre']:g} rad after one metre and {errors['heading_per_radian']:g} rad after one radian"
     )
+
+
+def _gyroscope_bias(bias: dict[str, float] | None) -> str | None:
+    return None if not bias else f"{bias['bias']:g} ± {bias['sigma']:g} rad/s"
 
 
 def _range_bias(bias: dict[str, float | None] | None) -> str | None:

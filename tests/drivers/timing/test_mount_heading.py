@@ -29,13 +29,13 @@ def test_the_mount_that_scans_state_is_not_contradicted() -> None:
     found = estimate_mount_heading(Turns(office_drive()))
     assert found is not None
     assert found.stated is not None
-    assert not found.contradicts(found.stated)
+    assert not found.contradicts(found.stated[2])
 
 
 def test_an_uncertain_heading_contradicts_nothing() -> None:
-    assert not MountHeading(0.0, 3.1, 1.0, 20).contradicts(0.0)
-    assert MountHeading(0.0, 3.1, 0.1, 20).contradicts(0.0)
-    assert not MountHeading(0.0, 0.34, 1e-6, 20).contradicts(0.0)
+    assert not MountHeading(None, 3.1, 1.0, 20).contradicts(0.0)
+    assert MountHeading(None, 3.1, 0.1, 20).contradicts(0.0)
+    assert not MountHeading(None, 0.34, 1e-6, 20).contradicts(0.0)
 
 
 def test_nothing_is_found_without_motion_or_odometry() -> None:

@@ -1,8 +1,11 @@
 """Messages of commands on stderr."""
 
+import io
 import threading
 
 import pytest
+from rich.console import Console
+from rich.live import Live
 
 from slam.cli.console import print_if_slow, print_message
 
@@ -38,3 +41,10 @@ def test_a_slow_block_prints_a_message(capsys: pytest.CaptureFixture[str], monke
 def test_control_characters_do_not_reach_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     print_message("topic /scan\x1b]0;title\x07\u202e of Zürich")
     assert capsys.readouterr().err == "wclm: topic /scan\ufffd]0;title\ufffd\ufffd of Zürich\n"
+
+
+def test_a_message_is_printed_above_a_live_table() -> None:
+    screen = io.StringIO()
+    with Live("table", console=Console(file=screen, force_terminal=True), transient=True):
+        print_message("the lidar is lost")
+    assert "wclm: the lidar is lost\n" in screen.getvalue()

@@ -171,6 +171,7 @@ def test_the_status_file_shows_the_run(live_session: LiveSession) -> None:
     assert (during["running"], after["running"], after["failure"]) == (True, False, "")
     assert [device["state"] for device in during["devices"]] == ["running", "running"]
     assert (after["scans"], after["map"]["walls"] > 10) == (live_session.run.summary["scans"], True)
+    assert after["map"]["keyframes"] == live_session.run.summary["keyframes"]
     assert after["saved"] == (live_session.run.out / SUMMARY).stat().st_mtime
     assert len(after["pose"]) == 3
     assert after["recording"] == {"seconds": pytest.approx(DURATION, abs=30.0), "problem": ""}

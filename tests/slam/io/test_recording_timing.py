@@ -67,7 +67,8 @@ def input_with_turned_lidar(path: Path, stated: bool) -> RecordingInput:
     """Return a recording with a lidar that points backwards; its mount is not stated, or wrongly as ahead."""
     with McapWriter(path) as writer:
         for message in with_turned_lidar(office_drive(), np.pi):
-            writer.write(replace(message, mount=np.zeros(3)) if stated and isinstance(message, Scan) else message)
+            mounted = stated and isinstance(message, Scan)
+            writer.write(replace(message, mount=np.array([0.1, 0.0, 0.0])) if mounted else message)
     return RecordingInput(drivers.open(path), reopen=str(path))
 
 
@@ -79,7 +80,7 @@ def test_a_lidar_that_points_backwards_is_corrected_if_no_mount_is_stated(tmp_pa
     assert config.lidar.mount[:2] == (0.0, 0.0)
     assert abs(config.lidar.mount[2]) == pytest.approx(np.pi, abs=0.05)
     text = run_input.facts()["interpretations"][-1]
-    assert re.match(r"lidar turned by -?1(79|80) ± \d degrees on the robot", text)
+    assert re.match(r"lidar turned by -?1(79|80)\.\d ± \d\.\d degrees on the robot", text)
     assert run_input.facts()["doubts"] == []
     for heading, doubts in ((3.1, 0), (0.0, 1)):
         settings = load_config(None, [f"lidar.mount=[0,0,{heading}]"])
@@ -92,7 +93,8 @@ def test_a_lidar_that_contradicts_its_stated_mount_is_doubtful(tmp_path: Path) -
     run_input = input_with_turned_lidar(tmp_path / "drive.mcap", stated=True)
     assert run_input.resolve(Config()).lidar.mount is None
     (doubt,) = run_input.facts()["doubts"]
-    assert re.match(r"the lidar seems to be turned by -?1(79|80) ± \d degrees on the robot", doubt)
+    turn, mount = r"-?1(79|80)\.\d ± \d\.\d degrees on the robot", r"lidar\.mount=\[0\.1,0,-?3\.1\d\]"
+    assert re.match(rf"the lidar seems to be turned by {turn}, but by 0 by its mount: set {mount}, or", doubt)
 
 
 def test_settings_take_precedence(wrong_recording: Path) -> None:

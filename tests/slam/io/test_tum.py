@@ -67,7 +67,7 @@ def test_missing_or_binary_file_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(MapError, match=r"a\.tum: No such file"):
         read_tum(tmp_path / "a.tum")
     (tmp_path / "a.tum").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(MapError, match=r"a\.tum: is not a text file"):
+    with pytest.raises(MapError, match=r"a\.tum: is not a text file; expected lines of t x y z qx qy qz qw"):
         read_tum(tmp_path / "a.tum")
 
 

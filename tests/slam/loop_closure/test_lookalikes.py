@@ -250,7 +250,7 @@ class StubLook:
     def search(self, old: int) -> list[SubmapMatch]:
         return [improve(self.submap, self.submap, np.zeros(3))]
 
-    def reference(self, old: int) -> Submap:
+    def old_submap(self, old: int) -> Submap:
         return self.submap
 
     def relative(self, old: int, motion: se2.Pose) -> se2.Pose:

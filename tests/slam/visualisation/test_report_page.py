@@ -163,7 +163,7 @@ def test_a_mount_that_the_drive_contradicts_is_a_finding(tmp_path: Path, finishe
     errors |= {"x": {"value": -0.0896, "sigma": 0.0025}, "heading": {"value": 0.0175, "sigma": 0.0023}}
     (finding,) = findings(SUMMARY | {"slam": {"odometry": {"systematic": errors}}}, trajectory)
     assert finding.text == (
-        "The lidar is not where `lidar.mount` says, relative to the axle: 9.0 ± 0.2 cm ahead, 0.0 ± 0.4 cm to the "
+        "The lidar is not where its mount says, relative to the axle: 9.0 ± 0.2 cm ahead, 0.0 ± 0.4 cm to the "
         "left, 1.0 ± 0.1 degrees to the right."
     )
     assert not finding.grave

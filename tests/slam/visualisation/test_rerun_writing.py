@@ -158,7 +158,7 @@ def test_a_long_log_continues_in_files_that_are_readable_by_themselves(tmp_path)
     assert len(names) == 1  # opened together they are one recording
     for file in files:
         assert "[lidar]" in last(file, "/config", "TextDocument:text")[0]
-        assert last(file, "/metrics/counts", "SeriesLines:names") == ["walls", "corners", "factors"]
+        assert last(file, "/metrics/counts", "SeriesLines:names") == ["walls", "corners", "keyframes"]
 
 
 def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
