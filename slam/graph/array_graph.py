@@ -14,13 +14,14 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import C
 from numpy.typing import NDArray
 
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost, squared_distances
 from .block_cholesky import Pattern, factorise, inverse_blocks, solve
-from .factors import CAUCHY_SCALES, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
+from .factors import CAUCHY_SCALES, KEY_INDEX_BITS, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -104,6 +105,10 @@ class ArrayGraph:
         self._set_noise_of_corners(bias)
         self._set_groups(groups)
 
+    def __len__(self) -> int:
+        """Number of factors."""
+        return len(self._form)
+
     def with_factors(self, removed: Integers, new: Sequence[Factor], bias: float) -> ArrayGraph:
         """Return the graph without the factors in some rows, and with new ones after the others.
 
@@ -186,15 +191,16 @@ class ArrayGraph:
                 self._information[rows] = np.linalg.inv(group.covariances)
 
     def values_of(self, values: gtsam.Values) -> Floats:
-        """Return the variables as an array (n, 3): poses and frames [x, y, heading], corners [x, y, 0]."""
-        result = np.zeros((len(self.keys), 3))
-        for row, (key, is_corner) in enumerate(zip(self.keys, self.corners.tolist(), strict=True)):
-            if is_corner:
-                result[row, :2] = values.atPoint2(key)
-            else:
-                pose = values.atPose2(key)
-                result[row] = pose.x(), pose.y(), pose.theta()
-        return result
+        """Return the variables as an array (n, 3): poses and frames [x, y, heading], corners [x, y, 0].
+
+        There may be more variables among the values.
+        """
+        keys = np.array(values.keys(), dtype=np.uint64)
+        corners = keys >> np.uint64(KEY_INDEX_BITS) == C(0) >> KEY_INDEX_BITS
+        result = np.zeros((len(keys), 3))
+        result[corners, :2] = gtsam.utilities.extractPoint2(values)
+        result[~corners] = gtsam.utilities.extractPose2(values)  # both in the order of the keys
+        return result[np.searchsorted(keys, np.array(self.keys, dtype=np.uint64))]
 
     def to_values(self, values: Floats) -> gtsam.Values:
         """Return the variables (n, 3) as GTSAM's."""
