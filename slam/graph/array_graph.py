@@ -23,6 +23,10 @@ from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, r
 from .block_cholesky import Pattern, factorise, inverse_blocks, solve
 from .factors import CAUCHY_SCALES, KEY_INDEX_BITS, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
+# Growth of a graph, in variables, up to which an order of elimination is continued. Origin: measured, after it L has a
+# half more blocks than by a new order, and to find that takes as long as the rest of a solution.
+MAX_GROWTH = 1.1
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearGraph:
@@ -64,13 +68,27 @@ class _Elimination:
         """Take the number of variables, the rows (f, 2) of those of each factor, which factors (f,) have two different
         ones, and the rows of the variables of each group whose joint covariance is wanted."""
         self._variables, self._ends, self._relative, self._groups = variables, ends, relative, groups
+        self._rank: Integers | None = None  # None to find an order
+        self._found_for = variables  # their number when the order was found
+
+    def follow(self, earlier: _Elimination, rows: Integers) -> None:
+        """Eliminate the variables of an earlier graph in the order that was found for it, and new ones after them.
+
+        New variables come last whatever they are connected with, so that L fills: a new order is found if the graph has
+        grown by more than MAX_GROWTH since the last one was. `rows` (v,) are those of the earlier variables.
+        """
+        if "pattern" not in earlier.__dict__ or self._variables > MAX_GROWTH * earlier._found_for:
+            return
+        self._rank, self._found_for = np.full(self._variables, -1), earlier._found_for
+        self._rank[rows] = earlier.pattern.rank
+        self._rank[self._rank < 0] = np.arange(len(rows), self._variables)
 
     @cached_property
     def pattern(self) -> Pattern:
         """Order of elimination and blocks that are not zero: those of factors, then those of the groups."""
         pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
         joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
-        return Pattern.of_pairs(self._variables, np.concatenate([self._ends[self._relative], *joint]))
+        return Pattern.of_pairs(self._variables, np.concatenate([self._ends[self._relative], *joint]), self._rank)
 
     @cached_property
     def slots(self) -> Integers:
@@ -129,6 +147,9 @@ class ArrayGraph:
             first = int(kept.sum())
             other._corner_factors += [replace(group, rows=first + group.rows) for group in added._corner_factors]
         other._set_groups(())
+        if not len(removed):
+            keys, known = (np.array(graph.keys, dtype=np.uint64) for graph in (other, self))
+            other._elimination.follow(self._elimination, np.searchsorted(keys, known))
         return other
 
     def with_divided_information(self, divisors: Floats) -> ArrayGraph:
