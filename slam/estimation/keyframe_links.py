@@ -40,7 +40,7 @@ def link_revisited(state: SlamState, scan: ProcessedScan) -> bool:
     if old is None:
         return False
     # The bound costs nothing, and is small enough in most places.
-    well_known = _is_well_known(mapper.covariances.relative_bound(old, last, stored=True)) or _is_well_known(
+    well_known = _is_well_known(mapper.covariances.relative_bound(old, last)) or _is_well_known(
         mapper.covariances.relative(old, last)
     )
     if not well_known:

@@ -14,13 +14,18 @@ from functools import cached_property
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import C
 from numpy.typing import NDArray
 
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost, squared_distances
 from .block_cholesky import Pattern, factorise, inverse_blocks, solve
-from .factors import CAUCHY_SCALES, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
+from .factors import CAUCHY_SCALES, KEY_INDEX_BITS, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
+
+# Growth of a graph, in variables, up to which an order of elimination is continued. Origin: measured, after it L has a
+# half more blocks than by a new order, and to find that takes as long as the rest of a solution.
+MAX_GROWTH = 1.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,13 +68,27 @@ class _Elimination:
         """Take the number of variables, the rows (f, 2) of those of each factor, which factors (f,) have two different
         ones, and the rows of the variables of each group whose joint covariance is wanted."""
         self._variables, self._ends, self._relative, self._groups = variables, ends, relative, groups
+        self._rank: Integers | None = None  # None to find an order
+        self._found_for = variables  # their number when the order was found
+
+    def follow(self, earlier: _Elimination, rows: Integers) -> None:
+        """Eliminate the variables of an earlier graph in the order that was found for it, and new ones after them.
+
+        New variables come last whatever they are connected with, so that L fills: a new order is found if the graph has
+        grown by more than MAX_GROWTH since the last one was. `rows` (v,) are those of the earlier variables.
+        """
+        if "pattern" not in earlier.__dict__ or self._variables > MAX_GROWTH * earlier._found_for:
+            return
+        self._rank, self._found_for = np.full(self._variables, -1), earlier._found_for
+        self._rank[rows] = earlier.pattern.rank
+        self._rank[self._rank < 0] = np.arange(len(rows), self._variables)
 
     @cached_property
     def pattern(self) -> Pattern:
         """Order of elimination and blocks that are not zero: those of factors, then those of the groups."""
         pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
         joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
-        return Pattern.of_pairs(self._variables, np.concatenate([self._ends[self._relative], *joint]))
+        return Pattern.of_pairs(self._variables, np.concatenate([self._ends[self._relative], *joint]), self._rank)
 
     @cached_property
     def slots(self) -> Integers:
@@ -104,6 +123,10 @@ class ArrayGraph:
         self._set_noise_of_corners(bias)
         self._set_groups(groups)
 
+    def __len__(self) -> int:
+        """Number of factors."""
+        return len(self._form)
+
     def with_factors(self, removed: Integers, new: Sequence[Factor], bias: float) -> ArrayGraph:
         """Return the graph without the factors in some rows, and with new ones after the others.
 
@@ -124,6 +147,9 @@ class ArrayGraph:
             first = int(kept.sum())
             other._corner_factors += [replace(group, rows=first + group.rows) for group in added._corner_factors]
         other._set_groups(())
+        if not len(removed):
+            keys, known = (np.array(graph.keys, dtype=np.uint64) for graph in (other, self))
+            other._elimination.follow(self._elimination, np.searchsorted(keys, known))
         return other
 
     def with_divided_information(self, divisors: Floats) -> ArrayGraph:
@@ -186,15 +212,16 @@ class ArrayGraph:
                 self._information[rows] = np.linalg.inv(group.covariances)
 
     def values_of(self, values: gtsam.Values) -> Floats:
-        """Return the variables as an array (n, 3): poses and frames [x, y, heading], corners [x, y, 0]."""
-        result = np.zeros((len(self.keys), 3))
-        for row, (key, is_corner) in enumerate(zip(self.keys, self.corners.tolist(), strict=True)):
-            if is_corner:
-                result[row, :2] = values.atPoint2(key)
-            else:
-                pose = values.atPose2(key)
-                result[row] = pose.x(), pose.y(), pose.theta()
-        return result
+        """Return the variables as an array (n, 3): poses and frames [x, y, heading], corners [x, y, 0].
+
+        There may be more variables among the values.
+        """
+        keys = np.array(values.keys(), dtype=np.uint64)
+        corners = keys >> np.uint64(KEY_INDEX_BITS) == C(0) >> KEY_INDEX_BITS
+        result = np.zeros((len(keys), 3))
+        result[corners, :2] = gtsam.utilities.extractPoint2(values)
+        result[~corners] = gtsam.utilities.extractPose2(values)  # both in the order of the keys
+        return result[np.searchsorted(keys, np.array(self.keys, dtype=np.uint64))]
 
     def to_values(self, values: Floats) -> gtsam.Values:
         """Return the variables (n, 3) as GTSAM's."""

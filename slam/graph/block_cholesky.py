@@ -37,10 +37,14 @@ class Pattern:
     slots: Integers
 
     @classmethod
-    def of_pairs(cls, count: int, pairs: Integers) -> Pattern:
-        """Find an order with little fill-in for `count` variables, given the pairs (m, 2) whose blocks are not zero."""
-        first, second = np.sort(pairs, axis=1).T
-        rank = _ranks(count, np.column_stack(np.divmod(np.unique(first * count + second), count)))
+    def of_pairs(cls, count: int, pairs: Integers, rank: Integers | None = None) -> Pattern:
+        """Find the blocks of L for `count` variables, given the pairs (m, 2) whose blocks are not zero.
+
+        rank  (count,) of each variable in the order of elimination; None to find one with little fill-in
+        """
+        if rank is None:
+            first, second = np.sort(pairs, axis=1).T
+            rank = _ranks(count, np.column_stack(np.divmod(np.unique(first * count + second), count)))
         ranked = np.sort(rank[pairs], axis=1)
         given = np.unique(ranked[:, 0] * count + ranked[:, 1])
         starts, rows = _fill_in(count, given // count, given % count)

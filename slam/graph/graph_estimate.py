@@ -171,15 +171,16 @@ class GraphEstimate:
 
     def relative_covariance(self, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose relative to an older one, in its own frame."""
-        return self._of_difference(self.solver.joint_covariance([X(old), X(keyframe)]), old, keyframe)
+        (covariance,) = self.relative_covariances_to_all([old], keyframe)
+        return covariance
 
     def relative_covariances_to_all(self, old: Sequence[int], keyframe: int) -> list[Floats]:
-        """Return the covariances (3, 3) of a keyframe's pose relative to each of some older ones, in its own frame.
-
-        Takes as long as some few alone.
-        """
-        joint = self.solver.joint_covariances([[X(one), X(keyframe)] for one in old])
-        return [self._of_difference(both, one, keyframe) for both, one in zip(joint, old, strict=True)]
+        """Return the covariances (3, 3) of a keyframe's pose relative to each of some older ones, in its own frame."""
+        if not old:
+            return []
+        joint = self.solver.distant_covariance([X(keyframe), *(X(one) for one in old)])
+        rows = [np.r_[3 * k : 3 * k + 3, 0:3] for k in range(1, len(old) + 1)]  # of each older one and the keyframe
+        return [self._of_difference(joint[np.ix_(r, r)], one, keyframe) for r, one in zip(rows, old, strict=True)]
 
     def _of_difference(self, joint: Floats, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a relative pose, given the joint one (6, 6) of both poses."""

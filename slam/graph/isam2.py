@@ -13,6 +13,7 @@ from ..memory import return_freed_memory
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
 from .factors import Factor, to_gtsam_graph
+from .present_solution import PresentSolution
 from .range_bias import RangeBias
 from .recent_variables import RecentVariables
 
@@ -61,7 +62,7 @@ class IncrementalSolver:
         self._dismissed: gtsam.Values | None = None  # linearisation point of an iSAM2 that was dismissed
         self.batch: BatchSolution | None = None
         self.factors: dict[int, Factor] = {}
-        self._recent = RecentVariables()
+        self._recent, self._present = RecentVariables(), PresentSolution()
         self.updates = 0
         self.qr = qr
         self.range_bias = RangeBias()
@@ -72,7 +73,7 @@ class IncrementalSolver:
         other._isam = None if self._isam is None else gtsam.ISAM2(self._isam)
         other._dismissed, other.batch = self._dismissed, self.batch
         other.factors, other.updates, other.range_bias = dict(self.factors), self.updates, self.range_bias
-        other._recent = self._recent.copy()
+        other._recent, other._present = self._recent.copy(), self._present.copy()
         return other
 
     def reset(self) -> None:
@@ -80,6 +81,7 @@ class IncrementalSolver:
         self._isam, self._dismissed, self.batch = _isam2(qr=self.qr), None, None
         self.factors, self.updates = {}, 0
         self._recent.forget()
+        self._present.outdate(removed=True)
 
     @property
     def isam(self) -> gtsam.ISAM2:
@@ -111,11 +113,12 @@ class IncrementalSolver:
         self._isam, self._dismissed, self.batch = None, None, solution
         self.factors, self.updates = dict(enumerate(factors)), 1
         self._recent.forget()
+        self._present.outdate(removed=True)
 
     def arrays(self) -> ArrayGraph:
         """Return all factors as arrays."""
         bias = self.range_bias.metres
-        return ArrayGraph(self.sorted_factors(), bias) if self.batch is None else self.batch.arrays.at_bias(bias)
+        return self._present.arrays(self.factors, bias) if self.batch is None else self.batch.arrays.at_bias(bias)
 
     def gtsam_factors(self) -> gtsam.NonlinearFactorGraph:
         """Return all factors as GTSAM's, not to be changed. Removed ones may leave empty slots."""
@@ -190,6 +193,7 @@ class IncrementalSolver:
         parameters = gtsam.ISAM2UpdateParams()
         parameters.force_relinearize = relinearize
         parameters.removeFactorIndices = list(remove)
+        self._present.outdate(removed=bool(remove))
         for number in remove:
             del self.factors[number]
             self._recent.forget()
@@ -265,8 +269,7 @@ class IncrementalSolver:
         """Return the graph, linearised where it is, as a batch solution."""
         if self.batch is not None:
             return self.batch
-        arrays = self.arrays()
-        return BatchSolution(arrays, arrays.values_of(self.isam.getLinearizationPoint()), self.range_bias.metres)
+        return self._present.solution(self.factors, self.range_bias.metres, self.isam.getLinearizationPoint)
 
     def joint_covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance (m, m) of variables with m components in all, in the order of `keys`.
@@ -277,6 +280,18 @@ class IncrementalSolver:
             joint = self.batch.joint_covariance(keys)
         else:
             joint = self._query(lambda isam: np.asarray(isam.jointMarginalCovariance(keys).fullMatrix()))
+        return joint + self.range_bias.covariance(keys)
+
+    def distant_covariance(self, keys: Sequence[int]) -> Floats:
+        """Return the joint covariance as `joint_covariance` does, of variables that may be anywhere in the graph.
+
+        It takes less time for these, and more for the variables of the last keyframes.
+        Raises MapError as `update` does.
+        """
+        try:
+            joint = self._as_batch().joint_covariance(keys)
+        except MapError:  # undetermined in this form; QR may still manage
+            return self.joint_covariance(keys)
         return joint + self.range_bias.covariance(keys)
 
     def _query(self, marginals: Callable[[gtsam.ISAM2], Floats]) -> Floats:

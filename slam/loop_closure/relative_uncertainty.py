@@ -19,9 +19,6 @@ SEARCH_DEVIATIONS = math.sqrt(MAX_SQUARED_DISTANCE)
 # Metres, metres, radians: errors of the estimate that its covariance does not contain, such as slips that were not
 # recognised. Origin: chosen; not measured.
 UNMODELLED_SIGMAS = np.array([0.3, 0.3, 0.05])
-# Covariances from which on it takes less time to factorise the graph anew than to compute each one with iSAM2.
-# Origin: measured, between 4 and 19 in a drive of 900 m.
-MIN_TOGETHER = 8
 
 
 class RelativeUncertainty:
@@ -51,17 +48,12 @@ class RelativeUncertainty:
         covariances, unknown = self._mapper.covariances, list[int]()
         for old in places:
             scale = float(self.error_scale(old, self._last))
-            bound = scale**2 * covariances.relative_bound(old, self._last, stored=True)
-            if not _is_minor(bound) and len(places) < MIN_TOGETHER:
-                bound = scale**2 * covariances.relative_bound(old, self._last, stored=False)
+            bound = scale**2 * covariances.relative_bound(old, self._last)
             if _is_minor(bound):
                 self._covariances[old] = bound + np.diag(UNMODELLED_SIGMAS**2)
             else:
                 unknown.append(old)
-        together = len(unknown) >= MIN_TOGETHER
-        found = covariances.relative_to_all(unknown, self._last) if together else ()
-        for row, old in enumerate(unknown):
-            estimated = found[row] if together else covariances.relative(old, self._last)
+        for old, estimated in zip(unknown, covariances.relative_to_all(unknown, self._last), strict=True):
             scale = float(self.error_scale(old, self._last))
             self._covariances[old] = scale**2 * estimated + np.diag(UNMODELLED_SIGMAS**2)
 

@@ -99,24 +99,18 @@ class KeyframeCovariances:
         correlated = embed_position_covariance(mapper.correlated_drift[keyframe] - mapper.correlated_drift[old])
         return rotate_covariance(correlated, -mapper.graph.keyframe_pose(keyframe)[2])
 
-    def relative_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
-        """Return (3, 3) an upper bound of `relative`, which takes much less time.
+    def relative_bound(self, old: int, keyframe: int) -> Floats:
+        """Return (3, 3) an upper bound of `relative` by the covariances from when the keyframes were added.
 
         The difference of two errors a and b has a covariance of at most 2 (Cov a + Cov b), whatever their correlation.
         Those of parts of the map that are not connected have different gauges: there it is exact.
-
-        stored  take the covariances from when the keyframes were added, which costs nothing; else the present ones
         """
         mapper = self._mapper
         if mapper.gauge.separates(mapper, old, keyframe):
             return mapper.gauge.covariance_across(mapper, old, keyframe)
         poses = mapper.keyframe_poses
         heading = poses[keyframe, 2]
-        if stored:
-            of_old, of_keyframe = (rotate_covariance(mapper.pose_covariances[k], -heading) for k in (old, keyframe))
-        else:
-            own = [(k, float(poses[k, 2]) - heading) for k in (old, keyframe)]
-            of_old, of_keyframe = (rotate_covariance(self.of_keyframe(k), turn) for k, turn in own)
+        of_old, of_keyframe = (rotate_covariance(mapper.pose_covariances[k], -heading) for k in (old, keyframe))
         lever = se2.between(poses[keyframe], poses[old])
         adjoint = se2.adjoint(np.array([lever[0], lever[1], 0.0]))  # both are in the axes of the keyframe
         return np.asarray(2.0 * (adjoint @ of_old @ adjoint.T + of_keyframe))

@@ -109,7 +109,7 @@ def cost_at(field, grid, x, y):  # type: ignore[no-untyped-def]
 @compiled
 def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
     """Return the pose with the lowest cost on a grid around the prediction; each point's cost counts `share` times."""
-    best, turned, facing = prediction.copy(), np.empty((len(points), 4)), np.empty(len(points), np.int64)
+    best, turned, facing = prediction.copy(), np.empty((len(points), 2)), np.empty(len(points), np.int64)
     lowest = share * points_cost(field, points, best)[0]
     _search(field, points, share, prediction, prior, kernel, shift, turn, best, lowest, turned, facing)
     return best
@@ -121,7 +121,7 @@ def _search(  # type: ignore[no-untyped-def]
 ):
     """Replace the pose `best`, whose cost is `lowest`, by the best one of the grid; see `search_grid`.
 
-    `turned` (p, 4) and `facing` (p,) are overwritten: of all that a point's cost depends on, only the point's place
+    `turned` (p, 2) and `facing` (p,) are overwritten: of all that a point's cost depends on, only the point's place
     differs between poses of the same heading.
     """
     turns, steps = math.ceil(turn / SEARCH_TURN_STEP), math.ceil(shift / SEARCH_STEP)
@@ -148,21 +148,19 @@ def _search(  # type: ignore[no-untyped-def]
 
 @inlined
 def _turn(points, c, s, turned, facing):  # type: ignore[no-untyped-def]
-    """Set `turned` (p, 4), the summands c x, s y, s x and c y of turned points, and the grids (p,) that they face."""
+    """Set `turned` (p, 2), the turned points in cells, and the grids (p,) that they face."""
     for k in range(len(points)):
         x, y = points[k, 0], points[k, 1]
-        turned[k, 0], turned[k, 1], turned[k, 2], turned[k, 3] = c * x, s * y, s * x, c * y
+        turned[k, 0], turned[k, 1] = (c * x - s * y) / FIELD_CELL, (s * x + c * y) / FIELD_CELL
         facing[k] = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
 
 
 @inlined
 def _cost_below(field, turned, facing, pose_x, pose_y, limit):  # type: ignore[no-untyped-def]
     """Return the cost of points, see `_turn`, at a position, or any value from `limit` on if it reaches that."""
-    total, origin_x, origin_y = 0.0, field[0][0], field[0][1]
+    total, x, y = 0.0, (pose_x - field[0][0]) / FIELD_CELL, (pose_y - field[0][1]) / FIELD_CELL
     for k in range(len(turned)):
-        x = (pose_x + turned[k, 0] - turned[k, 1] - origin_x) / FIELD_CELL
-        y = (pose_y + turned[k, 2] + turned[k, 3] - origin_y) / FIELD_CELL
-        total += cost_at(field, facing[k], x, y)[0]
+        total += cost_at(field, facing[k], x + turned[k, 0], y + turned[k, 1])[0]
         if total >= limit:
             break
     return total

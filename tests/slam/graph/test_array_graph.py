@@ -10,9 +10,10 @@ from gtsam.symbol_shorthand import L, P, X
 from drivers import se2
 from slam.errors import MapError
 from slam.graph.array_graph import ArrayGraph
-from slam.graph.block_cholesky import Pattern, factorise, inverse_blocks, solve
+from slam.graph.block_cholesky import Pattern, _ranks, factorise, inverse_blocks, solve
 from slam.graph.factor_graph import FactorGraph
 from slam.graph.factors import keys_of, to_gtsam_graph
+from slam.graph.isam2 import IncrementalSolver
 
 BIAS = 0.02
 
@@ -84,6 +85,49 @@ def test_joint_covariances_are_those_of_the_incremental_solver() -> None:
         np.testing.assert_allclose(covariance, solver.joint_covariance(group), rtol=1e-5, atol=1e-12)
 
 
+def test_covariances_of_distant_variables_follow_the_updates_of_the_graph() -> None:
+    graph, keys = graph_of_all_kinds(np.random.default_rng(4)), [X(0), L(0), X(2)]
+
+    def compare(solver: IncrementalSolver) -> None:
+        expected = solver.joint_covariance(keys)
+        np.testing.assert_allclose(solver.distant_covariance(keys), expected, rtol=1e-3, atol=1e-12)
+
+    compare(graph.solver)
+    before = graph.solver.copy()
+    graph.add_keyframe(3, np.array([2.5, 0.4, -2.8]), 2, np.array([-0.4, 0.3, 0.0]), 0.01 * np.eye(3))
+    graph.add_loop(0, 3, np.array([2.4, 0.6, -3.1]), np.array([0.01, 0.01, 0.01]))
+    loop = graph.update()[-1]
+    compare(graph.solver)
+    graph.remove_factors([loop])
+    compare(graph.solver)
+    graph.update_until_converged()
+    compare(graph.solver)
+    compare(before)
+
+
+@pytest.mark.parametrize("growth", [1.0, 2.0])
+def test_a_graph_with_new_variables_is_solved_in_the_order_of_that_before(
+    monkeypatch: pytest.MonkeyPatch, growth: float
+) -> None:
+    monkeypatch.setattr("slam.graph.array_graph.MAX_GROWTH", growth)
+    orders = []
+    monkeypatch.setattr("slam.graph.block_cholesky._ranks", lambda *given: orders.append(given) or _ranks(*given))
+    graph = graph_of_all_kinds(np.random.default_rng(5))
+    before = graph.solver.arrays()
+    before.step(before.values_of(graph.solver.estimate()), 0.0)
+    graph.add_keyframe(3, np.array([2.5, 0.4, -2.8]), 2, np.array([-0.4, 0.3, 0.0]), 0.01 * np.eye(3))
+    graph.add_corner(1, np.array([4.0, 0.0]))
+    graph.add_corner_observation(3, 1, np.array([-1.3, 0.8]), 0.01 * np.eye(2))
+    graph.update()
+    after = graph.solver.arrays()
+    values = after.values_of(graph.solver.estimate())
+    steps = after.by_key(after.step(values, 0.0))
+    assert len(orders) == (1 if growth > 1.0 else 2)
+    expected = ArrayGraph(graph.solver.sorted_factors(), 0.0)
+    for key, step in expected.by_key(expected.step(values, 0.0)).items():
+        np.testing.assert_allclose(steps[key], step, atol=1e-7)
+
+
 def test_marginals_that_cholesky_cannot_compute_are_left_to_the_incremental_solver(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -92,6 +136,7 @@ def test_marginals_that_cholesky_cannot_compute_are_left_to_the_incremental_solv
     joint = solver.joint_covariances([[L(2), L(0)]])
     monkeypatch.setattr("slam.graph.array_graph.factorise", lambda *_: False)
     np.testing.assert_allclose(solver.joint_covariances([[L(2), L(0)]]), joint, rtol=1e-5, atol=1e-12)
+    np.testing.assert_allclose(solver.distant_covariance([L(2), L(0)]), joint[0], rtol=1e-5, atol=1e-12)
     for key, covariance in solver.marginal_covariances().items():
         np.testing.assert_allclose(covariance, expected[key], rtol=1e-5, atol=1e-12)
 

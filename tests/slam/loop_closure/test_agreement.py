@@ -67,7 +67,7 @@ class StubMap:
     def relative_to_all(self, old: list[int], keyframe: int) -> list[Floats]:
         return [self.covariance] * len(old)
 
-    def relative_bound(self, old: int, keyframe: int, *, stored: bool) -> Floats:
+    def relative_bound(self, old: int, keyframe: int) -> Floats:
         return self.covariance
 
 

@@ -1,0 +1,55 @@
+"""The graph of iSAM2 as a batch solution, which follows its updates.
+
+iSAM2 computes the joint covariance of variables in a time that depends on where they are in its tree: it is short for
+the variables of the last metres, and a tenth of a second for a pose of the last keyframe and one of another pass. To
+factorise the whole graph takes less than that, and then any covariance takes a millisecond.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import islice
+
+import gtsam
+import numpy as np
+
+from .array_graph import ArrayGraph
+from .batch_solution import BatchSolution
+from .factors import Factor
+
+
+class PresentSolution:
+    """Arrays of the factors of a graph, and the batch solution of it since the last update."""
+
+    def __init__(self) -> None:
+        self._arrays: ArrayGraph | None = None  # of the first factors; those added since follow
+        self._solution: BatchSolution | None = None
+
+    def copy(self) -> PresentSolution:
+        """Return an independent copy."""
+        other = PresentSolution()
+        other._arrays, other._solution = self._arrays, self._solution
+        return other
+
+    def outdate(self, *, removed: bool) -> None:
+        """Forget the solution, as the graph is updated; if factors are removed, the arrays as well."""
+        self._solution = None
+        if removed:
+            self._arrays = None
+
+    def arrays(self, factors: dict[int, Factor], bias: float) -> ArrayGraph:
+        """Return all factors as arrays, given those of the graph by ascending numbers, and the range bias (metres)."""
+        if self._arrays is None:
+            self._arrays = ArrayGraph([*factors.values()], bias)
+        new = [*islice(factors.values(), len(self._arrays), None)]
+        self._arrays = self._arrays.with_factors(np.zeros(0, dtype=np.int64), new, bias)
+        return self._arrays.at_bias(bias)
+
+    def solution(
+        self, factors: dict[int, Factor], bias: float, linearised: Callable[[], gtsam.Values]
+    ) -> BatchSolution:
+        """Return the batch solution, linearised where `linearised` returns; for the other arguments see `arrays`."""
+        if self._solution is None or self._solution.bias != bias:
+            arrays = self.arrays(factors, bias)
+            self._solution = BatchSolution(arrays, arrays.values_of(linearised()), bias)
+        return self._solution
