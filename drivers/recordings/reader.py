@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,7 +18,7 @@ from .copies import without_copies
 from .frozen_odometry import FrozenOdometryDetector
 from .odometry_speed import OdometrySpeed
 from .stamp_units import in_seconds
-from .time_ordering import order_by_time
+from .time_ordering import order_by_time, sort_within
 
 if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrderTest
@@ -49,7 +49,8 @@ class RecordingReader(ABC):
     RecordingError on construction if the path does not exist, and on iteration if there is no scan and no odometry.
 
     set_beam_times     times of the beams that a user has set; None: they are decided from the scans
-    states_beam_times  if the format has a place for them
+    states_beam_times  if the format has a place for them; if not, the stamp of a scan is taken to be the middle of its
+                       sweep
     """
 
     states_beam_times = False
@@ -77,11 +78,12 @@ class RecordingReader(ABC):
             report.interpretations += gyroscope.interpretations()
             report.doubts += gyroscope.doubts()
             messages = gyroscope.converted(messages)
-        for message in messages:
+        timed = (times.of(message) if isinstance(message, Scan) else message for message in messages)
+        for message in sort_within(timed, times.earlier):
             report.messages += 1
             frozen.add(message)
             speed.add(message)
-            yield times.of(message) if isinstance(message, Scan) else message
+            yield message
         frozen.finish()
         for text in (frozen.describe(), speed.describe()):
             if text is not None:
@@ -100,15 +102,16 @@ class RecordingReader(ABC):
         """Times that the beams have when the recording is read."""
         from ..timing.beam_times import STATED
 
-        if self.set_beam_times is not None:
-            return self.set_beam_times
-        test = self.beam_order_test
-        return STATED if test is None or test.times is None else test.times
+        times = self.set_beam_times
+        if times is None:
+            test = self.beam_order_test
+            times = STATED if test is None or test.times is None else test.times
+        return replace(times, centred=not self.states_beam_times)
 
     @cached_property
     def beam_order_test(self) -> BeamOrderTest | None:
-        """Comparison of times of the beams; None if the format has none, or the recording no scans."""
-        if not self.states_beam_times or not self.has_scans:
+        """Comparison of times of the beams; None if the recording has no scans."""
+        if not self.has_scans:
             return None
         from ..timing.beam_order import decide_beam_order
 

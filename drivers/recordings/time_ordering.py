@@ -106,6 +106,20 @@ def order_by_time(numbered: Iterable[Numbered], anomalies: AnomalyCounter) -> It
         yield heapq.heappop(heap)[2]
 
 
+def sort_within(messages: Iterable[Message], seconds: float) -> Iterator[Message]:
+    """Yield messages whose stamps are at most so many seconds out of order with non-decreasing stamps.
+
+    Messages with equal stamps keep their order.
+    """
+    heap: list[tuple[float, int, Message]] = []
+    for arrived, message in enumerate(messages):
+        heapq.heappush(heap, (message.stamp, arrived, message))
+        while heap and heap[0][0] <= message.stamp - seconds:
+            yield heapq.heappop(heap)[2]
+    while heap:
+        yield heapq.heappop(heap)[2]
+
+
 def _correct_clock_steps(
     numbered: Iterable[Numbered], progress: _Progress, anomalies: AnomalyCounter
 ) -> Iterator[Numbered]:

@@ -19,10 +19,14 @@ class BeamTimes:
     turn      seconds in which the lidar turns once, so that the beams are measured one after the other by their
               angles; 0 if all are measured at once; None if their times are as stated
     reversed  if the beams are measured in the opposite of the stated order; with a turn, if clockwise
+    centred   if scans are stamped in the middle of the sweep. The format of a recording may have one time for a scan
+              and none for beams: it is that of the first beam or of the last one, or later, which nothing tells. The
+              middle is where such a scan, drawn as if all its beams were measured at its stamp, fits best
     """
 
     turn: float | None = None
     reversed: bool = False
+    centred: bool = False
 
     @property
     def as_stated(self) -> bool:
@@ -30,11 +34,18 @@ class BeamTimes:
         return self.turn is None and not self.reversed
 
     def of(self, scan: Scan) -> Scan:
-        """Return a scan with these times."""
+        """Return a scan with these times; its stamp is that of the first beam."""
         if self.turn is not None and len(scan.angles):
             turned = (scan.angles - scan.angles[0]) / (2.0 * np.pi)
             scan = replace(scan, time_offsets=self.turn * turned)
+            if self.centred:
+                scan = replace(scan, stamp=scan.stamp - 0.5 * scan.duration)
         return with_reversed_times(scan) if self.reversed else scan
+
+    @property
+    def earlier(self) -> float:
+        """Seconds by which the stamps of scans become earlier, at most."""
+        return 0.5 * (self.turn or 0.0) if self.centred else 0.0
 
 
 STATED = BeamTimes()

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.messages import Message, Odometry, YawRate
-from drivers.recordings.time_ordering import order_by_time
+from drivers.recordings.time_ordering import order_by_time, sort_within
 
 
 class Anomalies:
@@ -157,3 +157,16 @@ def test_output_never_decreases_and_every_message_is_counted(messages: list[tupl
     out = [message.stamp for message in order_by_time(enumerate(of_sensors), anomalies)]
     assert out == sorted(out)
     assert len(out) + len(anomalies.skipped) == len(messages)
+
+
+@given(st.lists(st.integers(0, 20), max_size=30))
+def test_messages_that_are_moved_a_little_are_sorted_again(early: list[int]) -> None:
+    stamps = [0.1 * i - 0.01 * seconds for i, seconds in enumerate(early)]
+    messages = [Odometry(stamp, np.array([float(i), 0.0, 0.0])) for i, stamp in enumerate(stamps)]
+    assert list(sort_within(messages, 0.2)) == sorted(messages, key=lambda message: message.stamp)
+
+
+def test_messages_in_order_are_not_held() -> None:
+    messages = iter(Odometry(stamp, np.zeros(3)) for stamp in STEADY)
+    assert [message.stamp for message, _ in zip(sort_within(messages, 0.0), range(3), strict=False)] == STEADY[:3]
+    assert next(messages).stamp == STEADY[4]

@@ -13,6 +13,7 @@ import drivers
 from drivers.messages import Message, Odometry, Scan, with_reversed_times
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
+from drivers.source_factory import LidarSelection
 from drivers.timing.beam_order import decide_beam_order
 from drivers.timing.beam_times import STATED, BeamTimes, set_beam_times
 from drivers.timing.turns import Turns
@@ -146,6 +147,61 @@ def test_a_recording_that_states_no_times_is_read_with_those_of_a_turn(tmp_path:
     (correction,) = RecordingTiming.of(drivers.open(path)).corrections()
     text = "beams measured over counter-clockwise turns of 0.182 s though no times are stated, by "
     assert correction.startswith(text)
+
+
+def carmen_log(path: Path, drive: Iterable[Message]) -> Path:
+    """Write the scans of a drive, each with the latest odometry, as CARMEN log, which has one stamp for a scan: here
+    that of the middle of its sweep.
+    """
+    lines, pose = [], np.zeros(3)
+    for message in drive:
+        if isinstance(message, Odometry):
+            pose = message.pose
+        elif isinstance(message, Scan):
+            step = float(message.angles[1] - message.angles[0])
+            ranges = np.nan_to_num(message.ranges, nan=80.0).tolist()
+            beams = f"{float(message.angles[0])!r} {step * len(ranges)!r} {step!r} 80 0.01 0 {len(ranges)}"
+            poses = f"0 0 0 {' '.join(map(repr, pose.tolist()))} 0 0 0 0 0"
+            stamp = message.stamp + 0.5 * message.duration
+            lines.append(f"ROBOTLASER1 0 {beams} {' '.join(map(repr, ranges))} 0 {poses} {stamp!r} host 0\n")
+    path.write_text("".join(lines))
+    return path
+
+
+def test_a_format_without_a_place_for_times_is_read_with_those_of_a_turn(tmp_path: Path) -> None:
+    drive = office_drive()
+    path = carmen_log(tmp_path / "drive.clf", drive)
+    read, as_stated = list(drivers.open(path)), list(drivers.open(path, "forward"))
+    assert len(read) == len(as_stated)
+    assert [message.stamp for message in read] == sorted(message.stamp for message in read)
+    measured, found, stated = (
+        [message for message in messages if isinstance(message, Scan)] for messages in (drive, read, as_stated)
+    )
+    for true, scan, unchanged in zip(measured, found, stated, strict=True):
+        assert scan.stamp == pytest.approx(true.stamp, abs=1e-3)
+        np.testing.assert_allclose(scan.time_offsets, true.time_offsets, atol=1e-3)
+        assert unchanged.stamp == pytest.approx(true.stamp + 0.5 * true.duration, abs=1e-6)
+        assert not unchanged.time_offsets.any()
+
+
+def test_a_set_turn_of_a_format_without_a_place_for_times_is_around_the_stamp(tmp_path: Path) -> None:
+    path = carmen_log(tmp_path / "drive.clf", office_drive())
+    turned = next(
+        message for message in drivers.open(path, LidarSelection(turn_period=0.1)) if isinstance(message, Scan)
+    )
+    stated = next(message for message in drivers.open(path, "forward") if isinstance(message, Scan))
+    assert turned.stamp == pytest.approx(stated.stamp - 0.5 * turned.duration)
+    assert turned.duration == pytest.approx(0.1, rel=0.01)
+
+
+def test_a_rotating_lidar_of_a_public_log_is_recognised() -> None:
+    for name in ("mines/mines-1.clf", "mines/mines-3.clf", "lego/lego.clf"):
+        reader = drivers.source_factory.recording_of(drivers.open(dataset_file(name)))
+        assert reader is not None
+        times = reader.beam_times
+        assert times.turn == pytest.approx({"mines": 0.098, "lego": 0.233}[name.partition("/")[0]], abs=1e-3)
+        assert not times.reversed
+        assert times.centred
 
 
 def test_public_recording_with_reversed_times_is_recognised() -> None:
