@@ -35,7 +35,8 @@ def observed_cells(frame: se2.Pose, half_length: float, along: float, points: Fl
     """Return the cells of a wall that a scan observed.
 
     A line is also fitted across a door, at grazing incidence even without a beam through it. So cells between two
-    neighbouring points farther apart than MIN_GAP_BETWEEN_PIECES were not observed.
+    neighbouring points farther apart than MIN_GAP_BETWEEN_PIECES were not observed, nor is that of a point alone: it
+    may be on a leaf of the door, or between two surfaces.
 
     frame   of the segment in the map, at its centre, which is `along` metres from the frame of the wall
     points  (p, 2) of the scan, in the map
@@ -58,11 +59,15 @@ def _observed(points, frame, half, start):  # type: ignore[no-untyped-def]
             positions[count] = along
             count += 1
     positions = np.sort(positions[:count])
-    observed = np.ones(max(0, math.floor((half - start) / WALL_CELL)), dtype=np.bool_)
-    for k in range(count - 1):
-        if positions[k + 1] - positions[k] > MIN_GAP_BETWEEN_PIECES:
-            begin = max(0, math.ceil((positions[k] - start) / WALL_CELL))
-            observed[begin : max(begin, math.floor((positions[k + 1] - start) / WALL_CELL))] = False
+    observed = np.zeros(max(0, math.floor((half - start) / WALL_CELL)), dtype=np.bool_)
+    first = 0
+    for k in range(1, count + 1):
+        if k < count and positions[k] - positions[k - 1] <= MIN_GAP_BETWEEN_PIECES:
+            continue
+        if k - first > 1:
+            begin = max(0, math.floor((positions[first] - start) / WALL_CELL))
+            observed[begin : max(begin, math.ceil((positions[k - 1] - start) / WALL_CELL))] = True
+        first = k
     return observed
 
 

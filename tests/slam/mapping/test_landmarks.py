@@ -208,6 +208,17 @@ def test_a_gap_next_to_the_end_of_a_wall_is_left_out() -> None:
     np.testing.assert_allclose(landmarks.pieces(wall), [[-2.0, 1.0]], atol=0.11)
 
 
+def test_a_point_alone_in_a_door_does_not_close_it() -> None:
+    """It is nearer to both jambs than the width from which on a gap is a door."""
+    beside = [np.linspace(-2.0, -0.45, 20), np.linspace(0.45, 2.0, 20)]
+    landmarks = Landmarks()
+    frame = np.zeros(3)
+    wall = landmarks.add_wall(frame, 2.0, 0, np.column_stack([np.concatenate(beside), np.zeros(40)]))
+    far = np.array([[-2.0, 0.0], [-1.5, 0.0], [0.05, 0.0], [1.5, 0.0], [2.0, 0.0]])  # a scan from afar, with few points
+    landmarks.observe_wall(wall, frame, 2.0, 1, far)
+    np.testing.assert_allclose(landmarks.pieces(wall), [[-2.0, -0.4], [0.4, 2.0]], atol=0.11)
+
+
 def test_points_that_are_close_enough_cover_the_stretch_between_them() -> None:
     landmarks = Landmarks()
     along = np.arange(-2.0, 2.01, 0.9 * MIN_GAP_BETWEEN_PIECES)
