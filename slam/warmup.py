@@ -16,6 +16,7 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Floats, Odometry, Scan
 from drivers.simulation import warm_up as warm_up_simulation
+from drivers.timing.scan_matching import warm_up as warm_up_timing
 
 from .checks.adapter import drive_of
 from .checks.report import find_suspects
@@ -110,7 +111,7 @@ def _compile_in_processes(parts: Sequence[Callable[[], None]]) -> None:
 
 def compile_preprocessing() -> None:
     """Compile what makes features of scans, the search for loops, and what only some commands call: maps as images,
-    and simulations."""
+    simulations, and the timing of recordings."""
     preprocessor = Preprocessor(Config())
     for message in _drive():
         preprocessor.add(message)
@@ -122,6 +123,7 @@ def compile_preprocessing() -> None:
     _match_beside_person()
     _draw_grid()
     warm_up_simulation()
+    warm_up_timing()
 
 
 def compile_estimation() -> None:

@@ -15,7 +15,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .. import se2
 from ..compiled import compiled
@@ -58,17 +57,6 @@ class Surface:
 
     points: Floats
     normals: Floats
-
-    def nearest(self, points: Floats) -> tuple[Floats, NDArray[np.int64]]:
-        """Return (m,) the squared distances from points (m, 2) to the nearest ones of the surface, and their rows (m,).
-
-        Of |p - q|^2 = |p|^2 - 2 p . q + |q|^2 only the last two terms depend on the point q of the surface. For the
-        some hundred points of a scan this takes as long as a search tree, which takes longer to import.
-        """
-        x, y = self.points.T
-        rows = np.argmin(x * x + y * y - points @ (2.0 * self.points).T, axis=1)
-        away = points - self.points[rows]
-        return away[:, 0] ** 2 + away[:, 1] ** 2, rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -165,29 +153,63 @@ def _range_profile(scan: Scan) -> Floats:
 
 def match(points: Floats, reference: Surface, guess: se2.Pose) -> Match | None:
     """Match points (n, 2) to a reference, starting from the pose `guess`; None if they have too little in common."""
-    points = points[:: max(1, -(-len(points) // MAX_POINTS))]
+    points = np.ascontiguousarray(points[:: max(1, -(-len(points) // MAX_POINTS))])
     pose, reach = np.array(guess, dtype=np.float64), FIRST_REACH
     for _ in range(MAX_ITERATIONS):
-        placed = se2.transform(pose, points)
-        squared_distance, nearest = reference.nearest(placed)
-        found = np.flatnonzero(squared_distance < reach**2)
-        if len(found) < MIN_CORRESPONDENCES:
+        equations = _normal_equations(points, reference.points, reference.normals, pose, reach)
+        information, gradient, found, weight, squares, loss = equations
+        if found < MIN_CORRESPONDENCES:
             return None
-        placed, nearest = placed[found], nearest[found]
-        normals, away, lever = reference.normals[nearest], placed - reference.points[nearest], placed - pose[:2]
-        # column by column, which takes half the time of sums and stacks over an axis of two
-        error = away[:, 0] * normals[:, 0] + away[:, 1] * normals[:, 1]
-        weight = 1.0 / (1.0 + (error / SCALE) ** 2)
-        jacobian = np.empty((len(found), 3))
-        jacobian[:, :2] = normals
-        jacobian[:, 2] = normals[:, 1] * lever[:, 0] - normals[:, 0] * lever[:, 1]
-        information = (jacobian * weight[:, None]).T @ jacobian + REGULARISATION
-        step = np.linalg.solve(information, jacobian.T @ (weight * error))
+        step = np.linalg.solve(information + REGULARISATION, gradient)
         pose = pose - step
         if reach == LAST_REACH and np.abs(step).max() < CONVERGED:
             break
         reach = max(LAST_REACH, REACH_FACTOR * reach)
-    variance = float(weight @ error**2) / max(1.0, float(weight.sum()) - 3.0)
-    unmatched = np.log1p((LAST_REACH / SCALE) ** 2) * (len(points) - len(error))
-    cost = float((np.log1p((error / SCALE) ** 2).sum() + unmatched) / len(points))
-    return Match(pose, float(np.sqrt(variance * np.linalg.inv(information)[2, 2])), cost)
+    variance = squares / max(1.0, weight - 3.0)
+    unmatched = math.log1p((LAST_REACH / SCALE) ** 2) * (len(points) - found)
+    covariance = np.linalg.inv(information + REGULARISATION)
+    return Match(pose, math.sqrt(variance * covariance[2, 2]), (loss + unmatched) / len(points))
+
+
+@compiled
+def _normal_equations(points, reference, normals, pose, reach):  # type: ignore[no-untyped-def]
+    """Return the information (3, 3) and the gradient (3,) of a pose by points (n, 2), and sums over those in reach.
+
+    These are their number, and the sums of their weights, of their weighted squared errors and of their log-likelihoods
+    log(1 + e^2 / s^2). A point is in reach if its nearest reference point (m, 2) is nearer than `reach` metres; for the
+    some hundred points of a scan, to try all of these takes less time than to build a search tree.
+    """
+    information, gradient = np.zeros((3, 3)), np.zeros(3)
+    found, weights, squares, loss, jacobian = 0, 0.0, 0.0, 0.0, np.empty(3)
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(len(points)):
+        lever_x, lever_y = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
+        x, y = pose[0] + lever_x, pose[1] + lever_y
+        nearest, row = reach**2, -1
+        for j in range(len(reference)):
+            squared = (x - reference[j, 0]) ** 2 + (y - reference[j, 1]) ** 2
+            if squared < nearest:
+                nearest, row = squared, j
+        if row < 0:
+            continue
+        jacobian[0], jacobian[1] = normals[row, 0], normals[row, 1]
+        jacobian[2] = jacobian[1] * lever_x - jacobian[0] * lever_y
+        error = (x - reference[row, 0]) * jacobian[0] + (y - reference[row, 1]) * jacobian[1]
+        weight = 1.0 / (1.0 + (error / SCALE) ** 2)
+        for i in range(3):
+            gradient[i] += jacobian[i] * weight * error
+            for j in range(3):
+                information[i, j] += jacobian[i] * weight * jacobian[j]
+        found, weights, squares = found + 1, weights + weight, squares + weight * error**2
+        loss += math.log1p((error / SCALE) ** 2)
+    return information, gradient, found, weights, squares, loss
+
+
+def warm_up() -> None:
+    """Compile the functions of scan matching, or load them from the cache."""
+    angles = np.arange(-np.pi, np.pi, BIN)
+    ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))  # of a square around the lidar
+    scan = Scan(0.0, ranges, angles, np.zeros(len(angles)), 0.0, np.inf)
+    points = scan_points(scan)
+    if (square := surface(points)) is not None:
+        match(points, square, np.array([0.0, 0.0, find_rotation(scan, scan)]))
