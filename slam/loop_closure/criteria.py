@@ -50,19 +50,23 @@ def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
     return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))
 
 
-def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, corrects: bool) -> tuple[Check, ...]:
+def support_checks(
+    hypothesis: LoopHypothesis, look: Look, against: int, *, corrects: bool, joins: bool
+) -> tuple[Check, ...]:
     """Check that enough looks support a hypothesis, and that the estimate's uncertainty admits it.
 
     A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
     must extend over this distance. Furniture that was moved may look like another place in all looks that have it in
-    common. So if the hypothesis leads there, or the estimate is in doubt, the looks must extend over a submap, too.
+    common. So the looks must extend over a submap, too, if the hypothesis leads there, if the estimate is in doubt, or
+    if there is no estimate, as parts of the map are joined.
 
     look      the last one
     against   number of looks that contradict the hypothesis
     corrects  true if it would correct the estimate; false if it is that the estimate is right
+    joins     true if it would join parts of the map
     """
     count, old = len(hypothesis.support), hypothesis.support[-1].old
-    elsewhere = look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
+    elsewhere = joins or look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
     least, shortest = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere else (MIN_SUPPORT, 0.0)
     span = max(shortest, SPAN_DEVIATIONS * look.uncertainty.deviation(old))
     checks = [

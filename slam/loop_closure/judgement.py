@@ -62,7 +62,7 @@ class Judgement:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
         first = hypothesis.support[0].travelled
         against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returns))
-        return support_checks(hypothesis, self.look, against, corrects=corrects)
+        return support_checks(hypothesis, self.look, against, corrects=corrects, joins=self.joins)
 
     def _decide(
         self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], checks: tuple[Check, ...]
