@@ -1,8 +1,8 @@
 """Measure accuracy, time and memory of SLAM on whole recordings and simulated drives (`wclm bench slam`).
 
 Recordings are scored by their relations (mean and median translation error), simulated drives by ground truth (RMS and
-median position error). Times are processor times, also relative to a reference computation: the paper's double sums,
-timed during the run, so that a slower or busier machine affects both.
+median position error). Times are processor times, also relative to a reference computation timed during the run
+(`reference_work`), so that a slower or busier machine affects both.
 """
 
 from __future__ import annotations
@@ -20,8 +20,6 @@ import numpy as np
 import drivers
 from drivers.messages import GroundTruth, Message, Scan
 from drivers.simulation import Simulation
-from features.arras_siegwart import direction_by_double_sums
-from features.line_fit import ray_arrays
 
 from ...errors import MapError
 from ...events import Finished
@@ -31,6 +29,7 @@ from ...loop_closure.loop_status import LoopStatus
 from ...pipeline import Slam
 from ...warmup import warm_up
 from ..metrics import read_relations, score_reference, score_relations
+from .reference_work import ReferenceWork
 
 RECORDINGS = ("intel", "fr079", "csail")
 """Names of the benchmark recordings: NAME/NAME.clf and NAME/NAME.relations in the datasets folder."""
@@ -39,7 +38,6 @@ WORLDS = ("office", "room", "corridor", "columns", "square", "large_loop")
 QUICK_WORLDS, QUICK_SECONDS = ("office", "room"), 20.0
 REFERENCE_INTERVAL = 10
 """Scans between timings of the reference computation."""
-REFERENCE_ANGLES = np.linspace(-0.6, 0.6, 230)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +59,7 @@ class RunFigures:
     error, median    metres: mean over the relations, or RMS over the path; and the median
     rotation         degrees: mean, or RMS
     scan_ms          processor time per scan, milliseconds, including everything else
-    by_reference     the same relative to the reference, by medians, which are least affected by a busy machine
+    by_reference     the same relative to the mean time of the reference: a busy machine slows down both alike
     memory           peak of the process, MiB
     closures         accepted loops
     """
@@ -158,8 +156,7 @@ class MessageTimer:
         self.message_times: list[float] = []
         self.reference_times: list[float] = []
         self._started = 0.0
-        self._line = ray_arrays(2.0 / np.cos(REFERENCE_ANGLES), REFERENCE_ANGLES)
-        direction_by_double_sums(*self._line)
+        self._reference = ReferenceWork()
 
     def __enter__(self) -> None:
         self._started = time.process_time()
@@ -169,9 +166,7 @@ class MessageTimer:
 
     def time_reference(self) -> None:
         """Time the reference computation once."""
-        start = time.process_time()
-        direction_by_double_sums(*self._line)
-        self.reference_times.append(time.process_time() - start)
+        self.reference_times.append(self._reference.time_once())
 
     @property
     def total(self) -> float:
@@ -180,8 +175,8 @@ class MessageTimer:
 
     @property
     def reference(self) -> float:
-        """Median time of the reference computation, seconds."""
-        return float(np.median(self.reference_times))
+        """Mean time of the reference computation, seconds."""
+        return float(np.mean(self.reference_times))
 
 
 def _messages(spec: RunSpec) -> Iterator[Message]:

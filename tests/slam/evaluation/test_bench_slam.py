@@ -87,8 +87,9 @@ def test_load_is_no_regression_and_a_slower_program_is(
     made = []
 
     def run_timed(_: RunSpec) -> Any:
-        timer = SimpleNamespace(message_times=[program] * 10, reference_times=[1.0, 1.5])
+        timer = SimpleNamespace(message_times=[program] * 10, reference_times=[0.8, 1.2])
         timer.message_times[len(made) % 10] *= 9.0
+        timer.reference_times[len(made) % 2] *= 9.0
         made.append(timer)
         return SimpleNamespace(scans=10), timer
 
@@ -102,7 +103,7 @@ def test_load_that_delays_most_messages_needs_more_runs(monkeypatch: pytest.Monk
     monkeypatch.setattr(
         regression_checks,
         "run_timed",
-        lambda _: (SimpleNamespace(scans=10), SimpleNamespace(message_times=next(delayed), reference_times=[1.0, 1.5])),
+        lambda _: (SimpleNamespace(scans=10), SimpleNamespace(message_times=next(delayed), reference_times=[0.8, 1.2])),
     )
     assert regression_checks.time_by_reference(RunSpec("room"), 12.0) == pytest.approx(10.0)
 
