@@ -257,8 +257,8 @@ def _match_beside_person() -> None:
 
 
 def _two_walls() -> Floats:
-    """Return (p, 4) points with normals on two walls."""
+    """Return (p, 5) points with normals on two walls."""
     along = np.linspace(0.0, 2.0, 30)
     ones, zeros = np.ones(30), np.zeros(30)
-    walls = [np.column_stack([along, -ones, zeros, ones]), np.column_stack([ones, along, -ones, zeros])]
+    walls = [np.column_stack([along, -ones, zeros, ones, ones]), np.column_stack([ones, along, -ones, zeros, ones])]
     return np.concatenate(walls)

@@ -109,5 +109,5 @@ class MatchTarget:
 
 @lru_cache(maxsize=1)  # a scan is matched with several fields in a row
 def points_of(scan: ScanFeatures) -> Floats:
-    """Return the points (p, 4) of a scan that are matched, with their normals; not to be changed."""
+    """Return the points (p, 5) of a scan that are matched, with their normals; not to be changed."""
     return surface_points(scan.points.xy, scan.segments, POINT_SPACING)

@@ -27,18 +27,21 @@ def memory_for(count):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def add_points(pose, points, field, sigma, information, gradient, memory):  # type: ignore[no-untyped-def]
-    """Set the normal equations of points (p, 4) with normals, in the base's frame, with the base at `pose`.
+def add_points(pose, points, field, sigma, information, excess, gradient, memory):  # type: ignore[no-untyped-def]
+    """Set the normal equations of points (p, 5) with normals, in the base's frame, with the base at `pose`.
 
     Each point measures the offset from the nearest point of the field along its normal, or along both axes if it has
     none. The offset is zero with standard deviation `sigma` (metres) and a Cauchy kernel of the same scale. Points in
     unseen cells are left out: what is seen for the first time, such as the continuation of a wall, is near known points
-    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes. For `memory` see `memory_for`.
+    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes. The part of the information
+    beyond the shares of the points that are independent (see `surface_points`) is the `excess` (3, 3). For `memory` see
+    `memory_for`.
     """
     rows, vectors, _, _ = memory
     found = _interpolate(pose, points, field, memory)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    beyond = sums
     for m in range(found):
         point, dx, dy = points[rows[m]], vectors[m, 0], vectors[m, 1]
         normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
@@ -48,10 +51,20 @@ def add_points(pose, points, field, sigma, information, gradient, memory):  # ty
         else:
             sums = _add_row(sums, point, 1.0, 0.0, c, s, weight, dx)
             sums = _add_row(sums, point, 0.0, 1.0, c, s, weight, dy)
+            if point[4] < 1.0:
+                beyond = _add_row(beyond, point, 1.0, 0.0, c, s, weight * (1.0 - point[4]), dx)
+                beyond = _add_row(beyond, point, 0.0, 1.0, c, s, weight * (1.0 - point[4]), dy)
     gradient[0], gradient[1], gradient[2] = sums[:3]
-    information[0, 0], information[1, 1], information[2, 2] = sums[3:6]
-    information[0, 1], information[0, 2], information[1, 2] = sums[6:]
-    information[1, 0], information[2, 0], information[2, 1] = sums[6:]
+    _set_symmetric(information, sums)
+    _set_symmetric(excess, beyond)
+
+
+@inlined
+def _set_symmetric(matrix, sums):  # type: ignore[no-untyped-def]
+    """Set a matrix (3, 3) to the sums of equations, the results of `_add_row`."""
+    matrix[0, 0], matrix[1, 1], matrix[2, 2] = sums[3:6]
+    matrix[0, 1], matrix[0, 2], matrix[1, 2] = sums[6:]
+    matrix[1, 0], matrix[2, 0], matrix[2, 1] = sums[6:]
 
 
 @inlined
@@ -74,7 +87,7 @@ def _add_row(sums, point, x, y, c, s, weight, residual):  # type: ignore[no-unty
 
 @compiled
 def interpolate(pose, points, field):  # type: ignore[no-untyped-def]
-    """Return the rows (m,) of points (p, 4) near a surface, and the vectors (m, 2) from there in the map, metres.
+    """Return the rows (m,) of points (p, 5) near a surface, and the vectors (m, 2) from there in the map, metres.
 
     The points are in the base's frame, with the base at `pose`. Near is a point in a seen cell in which a point of the
     field is the nearest one that faces the same way. The vector is interpolated between those from the points that are

@@ -23,8 +23,7 @@ from .distance_field import DistanceField
 from .interpolation import add_points, memory_for
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE
-from .point_matcher import FINE_SIGMA
-from .scan_points import ScanPoints, segments_of
+from .scan_points import FINE_SIGMA, ScanPoints, segments_of
 
 # Metres across a wall between it and a segment, for each Gauss-Newton step; also between two
 # corners. Origin: tuned on Intel, fr079, CSAIL.
@@ -93,7 +92,7 @@ def register(
     prediction  [x, y, heading] of the base in the map
     prior       (3, 3) information of the prediction in the base's frame; it fixes directions that nothing determines
     scan        segments and corners in the base's frame
-    points      (p, 4) of the scan with normals, in the base's frame, see `surface_points`
+    points      (p, 5) of the scan with normals, in the base's frame, see `surface_points`
     local_map   walls and corners in the map
     field       distance field in the map
     roughness   variance of the wall roughness (metres squared)
@@ -125,7 +124,7 @@ def _register(  # type: ignore[no-untyped-def]
     map_walls, known_corners = WallArrays(*walls), CornerArrays(*map_corners)
     all_points, segment_of = points
     information, point_information = np.zeros((3, 3)), np.zeros((3, 3))
-    gradient, point_gradient = np.zeros(3), np.zeros(3)
+    gradient, point_gradient, excess = np.zeros(3), np.zeros(3), np.zeros((3, 3))
     pose, point_pose, overlaps = start.copy(), start.copy(), np.zeros(len(scan_segments.frame))
     kept, memory, total = np.empty_like(all_points), memory_for(len(all_points)), np.empty((3, 3))
     for step in range(len(MATCH_OFFSET_GATES)):
@@ -134,7 +133,7 @@ def _register(  # type: ignore[no-untyped-def]
         add_walls(pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient)
         add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
         others = kept[: _keep_unmatched(all_points, segment_of, overlaps, kept)]
-        add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient, memory)
+        add_points(pose, others, field, FINE_SIGMA, point_information, excess, point_gradient, memory)
         pull = product(prior, difference(prediction, pose))
         for k in range(3):
             point_pose[k] = pose[k]
@@ -146,16 +145,16 @@ def _register(  # type: ignore[no-untyped-def]
     move_back(point_pose, solution(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
     wrap_heading(pose)
     wrap_heading(point_pose)
-    return pose, information, point_information, point_pose, overlaps.sum()
+    return pose, information, point_information - excess, point_pose, overlaps.sum()
 
 
 @inlined
 def _keep_unmatched(points, segment_of, overlaps, kept):  # type: ignore[no-untyped-def]
-    """Copy the points (q, 4) that are on no segment, or on one that was not matched with a wall; return how many."""
+    """Copy the points (q, 5) that are on no segment, or on one that was not matched with a wall; return how many."""
     count = 0
     for k in range(len(points)):
         if segment_of[k] < 0 or overlaps[segment_of[k]] == 0.0:
-            for c in range(4):
+            for c in range(5):
                 kept[count, c] = points[k, c]
             count += 1
     return count

@@ -36,7 +36,7 @@ SEARCH_TURN_STEP = math.radians(3.0)  # Origin: as SEARCH_STEP.
 
 @compiled
 def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
-    """Return cost, fit and known points of points (p, 4) with normals at a pose; see `point_matcher.PointMatch`."""
+    """Return cost, fit and known points of points (p, 5) with normals at a pose; see `point_matcher.PointMatch`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total, of_known, known = 0.0, 0.0, 0
     for k in range(len(points)):
@@ -50,7 +50,7 @@ def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
 
 @compiled
 def costs_of_points(field, points, pose):  # type: ignore[no-untyped-def]
-    """Return the cost (p,) of each of points (p, 4) with normals at a pose."""
+    """Return the cost (p,) of each of points (p, 5) with normals at a pose."""
     c, s, costs = math.cos(pose[2]), math.sin(pose[2]), np.empty(len(points))
     for k in range(len(points)):
         costs[k] = _point_cost(field, points, k, pose, c, s)[0]
@@ -59,7 +59,7 @@ def costs_of_points(field, points, pose):  # type: ignore[no-untyped-def]
 
 @compiled
 def crossing_beams(field, points, pose):  # type: ignore[no-untyped-def]
-    """Return how many beams to points (p, 4) pass through known surfaces at a pose, before they reach theirs."""
+    """Return how many beams to points (p, 5) pass through known surfaces at a pose, before they reach theirs."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     start_x, start_y = (pose[0] - field[0][0]) / FIELD_CELL, (pose[1] - field[0][1]) / FIELD_CELL
     count = 0

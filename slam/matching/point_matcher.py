@@ -32,13 +32,10 @@ from .distance_field import DistanceField
 from .interpolation import add_points, memory_for
 from .offset_tiles import FIELD_CELL
 from .point_costs import COARSE_SIGMA, crossing_beams, points_cost, search_grid
-from .scan_points import subsample
+from .scan_points import FINE_SIGMA, subsample
 
 # Metres between points that count as separate measurements. Origin: chosen, as FIELD_CELL.
 POINT_SPACING = FIELD_CELL
-# Metres, scale of the narrow kernel, and standard deviation of a point. Origin: measured, on ten recordings: 0.03
-# agrees best among 0.03, 0.05 and 0.10 on eight of them.
-FINE_SIGMA = 0.03
 # Share of the information of a matched scan that is independent of other scans: scans from nearby repeat the errors of
 # the surfaces. Origin: measured, on recordings a third is slightly better than a tenth or all of it.
 INDEPENDENT_SHARE = 0.3
@@ -143,7 +140,7 @@ class PointMatch:
 def match_points(
     field: DistanceField, points: Floats, predictions: Sequence[Prediction], *, exhaustive: bool = False
 ) -> list[PointMatch]:
-    """Match points (p, 4) with normals, in the base's frame, to the field near each of several predicted poses.
+    """Match points (p, 5) with normals, in the base's frame, to the field near each of several predicted poses.
 
     Returns the matches, those with the lowest cost first. If the first of up to MAX_UNSEARCHED predictions leads to a
     good match, the poses around them are not searched. If `exhaustive`, they are searched anyway: most of a scan fits
@@ -172,7 +169,7 @@ def match_points(
 
 
 def _ranked(field: DistanceField, points: Floats, matches: list[PointMatch]) -> list[PointMatch]:
-    """Return matches of points (p, 4), those with the lowest cost first, with the costs of beams through surfaces."""
+    """Return matches of points (p, 5), those with the lowest cost first, with the costs of beams through surfaces."""
     if len(matches) == 1:
         return matches
     counts = [int(crossing_beams(field.arrays, points, match.pose)) for match in matches]
@@ -207,7 +204,7 @@ def match_from(
 ) -> PointMatch:
     """Improve the pose `start` by Gauss-Newton with a kernel of each of the scales `sigmas` (metres) in turn.
 
-    The points (p, 4), with normals, are used as they are.
+    The points (p, 5), with normals, are used as they are.
     """
     pose, information, cost, fit, known = _match_from(
         field.arrays, points, start, prediction.pose, prediction.information, prediction.kernel, sigmas
@@ -217,15 +214,15 @@ def match_from(
 
 
 def point_cost(field: DistanceField, points: Floats, pose: se2.Pose) -> tuple[float, float, int]:
-    """Return cost, fit and known points of points (p, 4), used as they are, at a pose; see `PointMatch`."""
+    """Return cost, fit and known points of points (p, 5), used as they are, at a pose; see `PointMatch`."""
     cost, fit, known = points_cost(field.arrays, points, pose)
     return float(cost), float(fit), int(known)
 
 
 def point_information(points: Floats) -> Floats:
-    """Return the information (3, 3) of a pose from points (p, 4) with normals in its frame, if each of them is matched.
+    """Return the information (3, 3) of a pose from points (p, 5) with normals in its frame, if each of them is matched.
 
-    The noise of a point is FINE_SIGMA along its normal, or in both directions if it has none.
+    The noise of a point is FINE_SIGMA along its normal. Without one it measures both directions, with its share.
     """
     return np.asarray(_sum_of_squares(points) / FINE_SIGMA**2)
 
@@ -235,18 +232,20 @@ def _sum_of_squares(points):  # type: ignore[no-untyped-def]
     """Return J' J (3, 3) with the derivatives J of the offsets of points along their normals by the pose."""
     total = np.zeros((3, 3))
     for k in range(len(points)):
-        x, y, normal_x, normal_y = points[k]
+        x, y, normal_x, normal_y, share = points[k]
         turn = x * normal_y - y * normal_x
         if normal_x == 0.0 and normal_y == 0.0:  # along both axes: (1, 0, -y) and (0, 1, x)
-            normal_x, normal_y = 1.0, 1.0
-            total[0, 2], total[1, 2], total[2, 2] = total[0, 2] - y, total[1, 2] + x, total[2, 2] + x * x + y * y
+            total[0, 0] += share
+            total[1, 1] += share
+            total[0, 2], total[1, 2] = total[0, 2] - share * y, total[1, 2] + share * x
+            total[2, 2] += share * (x * x + y * y)
         else:
+            total[0, 0] += normal_x * normal_x
+            total[1, 1] += normal_y * normal_y
             total[0, 1] += normal_x * normal_y
             total[0, 2] += normal_x * turn
             total[1, 2] += normal_y * turn
             total[2, 2] += turn * turn
-        total[0, 0] += normal_x * normal_x
-        total[1, 1] += normal_y * normal_y
     total[1, 0], total[2, 0], total[2, 1] = total[0, 1], total[0, 2], total[1, 2]
     return total
 
@@ -254,11 +253,11 @@ def _sum_of_squares(points):  # type: ignore[no-untyped-def]
 @compiled
 def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # type: ignore[no-untyped-def]
     pose, memory = start.copy(), memory_for(len(points))
-    information, gradient = np.zeros((3, 3)), np.zeros(3)
+    information, excess, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
     robust, total = np.empty((3, 3)), np.empty((3, 3))
     for sigma in sigmas:
         for _ in range(MAX_STEPS):
-            add_points(pose, points, field, sigma, information, gradient, memory)
+            add_points(pose, points, field, sigma, information, excess, gradient, memory)
             error = difference(prediction, pose)
             scale = 1.0 + quadratic_form(prior, error[0], error[1], error[2]) / kernel**2
             for k in range(3):
@@ -273,7 +272,7 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
                 break
     cost, fit, known = points_cost(field, points, pose)
     wrap_heading(pose)
-    return pose, information, cost, fit, known
+    return pose, information - excess, cost, fit, known
 
 
 @compiled

@@ -21,6 +21,10 @@ POINT_UNIT = 1e-3
 # Largest coordinate in these units. Origin: definition, 2 km, beyond the range of any lidar.
 MAX_POINT_UNITS = 2e6
 
+# Metres, standard deviation of a matched point, and scale of the narrow kernel. Origin: measured, on ten recordings:
+# 0.03 agrees best among 0.03, 0.05 and 0.10 on eight of them.
+FINE_SIGMA = 0.03
+
 # Metres between a point and the line of a segment on which it lies.
 # Origin: chosen; not measured.
 LINE_DISTANCE = 0.1
@@ -72,7 +76,7 @@ def subsample(points: Floats, max_count: int) -> Floats:
 
 
 def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats:
-    """Return (q, 4) the points to be matched, each with the normal [x, y] of its surface, in the base's frame.
+    """Return (q, 5) the points to be matched, in the base's frame: x, y, the normal [x, y] of the surface, share.
 
     points    (p, 2) returns of one scan in the base's frame, in the order of the beams, counter-clockwise
     segments  of the same scan
@@ -83,25 +87,31 @@ def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats
     returns from a corridor's walls move with the robot. Another point has the normal of a line through its neighbours,
     or zero where these are on no line, as at corners and on clutter. Normals have length 1 and point to the lidar: to
     the left of the direction in which the beams move along the surface, wherever the lidar is mounted.
+
+    The share of a point is that of its information which is independent of other points: 1, except for a point whose
+    surface is not known as the neighbours are too few. Its surface is known at the ends of the beams only: up to half
+    of the gap g between two of them, the point is compared with another piece of it. Beams far apart slide along
+    surfaces as the robot moves, all alike, so that this error does not average out. So it is added to the standard
+    deviation of the point, s: the share is s^2 / (s^2 + (g / 2)^2).
     """
     points = np.ascontiguousarray(points)  # subsampled ones would be compiled for separately
     return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing))
 
 
 def segments_of(points: Floats, segments: Segments) -> Integers:
-    """Return (q,) the row of the segment, between its ends, on which each of `surface_points` (q, 4) lies, or -1."""
+    """Return (q,) the row of the segment, between its ends, on which each of `surface_points` (q, 5) lies, or -1."""
     return np.asarray(_segments_of(points, segments.frame, segments.half_length))
 
 
 @compiled
 def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-untyped-def]
-    kept, count = np.zeros((len(points), 4)), 0
+    kept, rows, count = np.zeros((len(points), 5)), np.empty(len(points), np.int64), 0
     for k in range(len(points)):
         if count:
             dx, dy = points[k, 0] - kept[count - 1, 0], points[k, 1] - kept[count - 1, 1]
             if dx * dx + dy * dy < spacing * spacing:
                 continue
-        kept[count, 0], kept[count, 1] = points[k, 0], points[k, 1]
+        kept[count, 0], kept[count, 1], kept[count, 4], rows[count] = points[k, 0], points[k, 1], 1.0, k
         count += 1
     kept = kept[:count]
     axes = axes_of(frames)
@@ -109,9 +119,19 @@ def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-u
         line = _nearest_line(kept[k, 0], kept[k, 1], frames, axes, half_lengths, CONTINUATION)
         if line >= 0:
             kept[k, 2], kept[k, 3] = -axes[line, 1], axes[line, 0]
-        else:
-            _set_normal(kept, k)
+        elif not _set_normal(kept, k):
+            kept[k, 4] = FINE_SIGMA**2 / (FINE_SIGMA**2 + (0.5 * _gap_beside(points, rows[k])) ** 2)
     return kept
+
+
+@compiled
+def _gap_beside(points, k):  # type: ignore[no-untyped-def]
+    """Return the distance of point k of (p, 2) from the nearer one of the ends of the beams beside it, metres."""
+    gap = math.inf
+    for j in (k - 1, k + 1):
+        if 0 <= j < len(points):
+            gap = min(gap, math.hypot(points[j, 0] - points[k, 0], points[j, 1] - points[k, 1]))
+    return gap
 
 
 @compiled
@@ -136,9 +156,10 @@ def _nearest_line(x, y, frames, axes, half_lengths, reach):  # type: ignore[no-u
 
 @compiled
 def _set_normal(points, k):  # type: ignore[no-untyped-def]
-    """Set the normal of point k of (q, 4) from its neighbours within NORMAL_RADIUS, if they are on a line.
+    """Set the normal of point k of (q, 5) from its neighbours within NORMAL_RADIUS, if they are on a line.
 
-    The line has the direction of the larger eigenvector of the neighbours' covariance.
+    The line has the direction of the larger eigenvector of the neighbours' covariance. Returns False if there are not
+    enough of them to tell.
     """
     n, x, y, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     beams_x, beams_y = 0.0, 0.0  # direction in which the ends of successive beams move along the surface
@@ -149,7 +170,7 @@ def _set_normal(points, k):  # type: ignore[no-untyped-def]
             xx, xy, yy = xx + dx * dx, xy + dx * dy, yy + dy * dy
             beams_x, beams_y = beams_x + (j - k) * dx, beams_y + (j - k) * dy
     if n < MIN_NORMAL_POINTS:
-        return
+        return False
     xx, xy, yy = xx / n - (x / n) ** 2, xy / n - x * y / n**2, yy / n - (y / n) ** 2
     half_difference, middle = math.hypot(0.5 * (xx - yy), xy), 0.5 * (xx + yy)
     if middle - half_difference < MAX_FLATNESS * (middle + half_difference):
@@ -158,3 +179,4 @@ def _set_normal(points, k):  # type: ignore[no-untyped-def]
         if c * beams_x + s * beams_y < 0.0:
             c, s = -c, -s
         points[k, 2], points[k, 3] = -s, c
+    return True

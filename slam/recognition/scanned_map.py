@@ -41,7 +41,7 @@ MAX_RELATION_DISTANCE = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellPoints:
-    """Points (p, 4) with normals, in the order of the numbers (p,) of the cells of the map in which they lie."""
+    """Points (p, 5) with normals, in the order of the numbers (p,) of the cells of the map in which they lie."""
 
     points: Floats
     cells: Integers
@@ -86,7 +86,7 @@ class SubmapScan:
 
     keyframes   of the submap
     descriptor  its walls and corners
-    points      (p, 4) thinned, with normals
+    points      (p, 5) thinned, with normals
     field       distance field of all points
     reach       metres from the last keyframe to the farthest point
     """
@@ -129,12 +129,12 @@ class ScannedDrive:
 def scan_map(
     index: MapIndex, poses: Floats, points: Sequence[NDArray[np.floating]], cell: float = EVIDENCE_CELL
 ) -> ScannedMap:
-    """Prepare a map of keyframes at `poses` (k, 3), each with points (p, 4) with normals in its frame, to search in.
+    """Prepare a map of keyframes at `poses` (k, 3), each with points (p, 5) with normals in its frame, to search in.
 
     cell  metres, side of its cells
     """
     moved = np.concatenate(
-        [np.zeros((0, 4)), *(_transform(pose, own) for pose, own in zip(poses, points, strict=True))]
+        [np.zeros((0, 5)), *(_transform(pose, own) for pose, own in zip(poses, points, strict=True))]
     )
     low, high = _bounds(moved if len(moved) else poses)
     field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + FIELD_MARGIN)
@@ -152,7 +152,7 @@ def scan_keyframes(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.b
 def scan_submap(
     keyframes: range, descriptor: MapDescriptor, poses: Floats, points: Sequence[NDArray[np.floating]]
 ) -> SubmapScan:
-    """Build a submap of keyframes at `poses` (k, 3), each with points (p, 4) with normals in its frame.
+    """Build a submap of keyframes at `poses` (k, 3), each with points (p, 5) with normals in its frame.
 
     descriptor  walls and corners in the frame of the last keyframe
     """
@@ -173,7 +173,7 @@ def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDEN
 
 
 def thin(points: Floats) -> Floats:
-    """Return one of the points (p, 4) of each square of THINNED_SPACING whose surfaces face in about one direction."""
+    """Return one of the points (p, 5) of each square of THINNED_SPACING whose surfaces face in about one direction."""
     if not len(points):
         return points
     squares = np.round(points[:, :2] / THINNED_SPACING).astype(np.int64)
@@ -205,7 +205,7 @@ class _CellGrid:
         return int(self.shape.prod())
 
     def sort(self, points: Floats, pose: se2.Pose) -> CellPoints:
-        """Return points (p, 4) in a frame at `pose` in the map, in the order of their cells."""
+        """Return points (p, 5) in a frame at `pose` in the map, in the order of their cells."""
         cells = np.floor((_transform(pose, points)[:, :2] - self.origin) / self.side).astype(np.int64)
         cells = np.clip(cells, 0, self.shape - 1)
         numbers = cells[:, 0] * self.shape[1] + cells[:, 1]
@@ -236,10 +236,10 @@ def _relations(mapper: Mapper, submaps: Sequence[PlacedSubmap]) -> dict[tuple[in
 
 
 def _transform(pose: se2.Pose, points: NDArray[np.floating]) -> Floats:
-    """Transform points (p, 4) with normals."""
+    """Transform points (p, 5) with normals."""
     turn = np.array([0.0, 0.0, pose[2]])
-    moved, normals = se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:])
-    return np.column_stack([moved.reshape(-1, 2), normals.reshape(-1, 2)]).astype(np.float64)
+    moved, normals = se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:4])
+    return np.column_stack([moved.reshape(-1, 2), normals.reshape(-1, 2), points[:, 4]]).astype(np.float64)
 
 
 @compiled

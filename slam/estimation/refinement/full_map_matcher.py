@@ -196,7 +196,7 @@ class FullMapMatcher:
         field.insert_scans(self._poses[near], [self._points_of(keyframe) for keyframe in near.tolist()])
 
     def _points_of(self, keyframe: int) -> Floats:
-        """Return the points (p, 4) of a keyframe with their normals: it is in several fields."""
+        """Return the points (p, 5) of a keyframe with their normals: it is in several fields."""
         if keyframe not in self._points:
             scan = self._history.scans[self._history.keyframes[keyframe]].features
             self._points[keyframe] = surface_points(scan.points.xy, scan.segments, POINT_SPACING)

@@ -38,6 +38,6 @@ def drive_of(session: StoredSession) -> ScannedDrive:
 
 
 def _keyframe_points(history: ScanHistory) -> Sequence[Floats]:
-    """Return the points (p, 4) of each keyframe with their normals, in its frame."""
+    """Return the points (p, 5) of each keyframe with their normals, in its frame."""
     features = [history.scans[row].features for row in history.keyframes]
     return [surface_points(some.points.xy, some.segments, POINT_SPACING) for some in features]

@@ -49,17 +49,17 @@ def test_displaced_submap_is_found(side: float, turn: float) -> None:
 def test_points_of_a_submap_are_those_of_its_keyframes_in_its_frame() -> None:
     random = np.random.default_rng(4)
     poses = np.column_stack([random.uniform(-2.0, 2.0, (3, 2)), random.uniform(-np.pi, np.pi, 3)])
-    scans = [random.uniform(-3.0, 3.0, (count, 4)) for count in (5, 0, 8)]
+    scans = [random.uniform(-3.0, 3.0, (count, 5)) for count in (5, 0, 8)]
     moved = build_submap(poses, scans, 10.0).points
     expected = [
-        np.hstack([se2.transform(pose, scan[:, :2]), se2.transform([0.0, 0.0, pose[2]], scan[:, 2:])])
+        np.hstack([se2.transform(pose, scan[:, :2]), se2.transform([0.0, 0.0, pose[2]], scan[:, 2:4]), scan[:, 4:]])
         for pose, scan in zip(poses, scans, strict=True)
     ]
     np.testing.assert_allclose(moved, np.concatenate(expected), atol=1e-12)
 
 
 def test_nothing_matches_in_an_old_place_that_was_not_seen() -> None:
-    old = build_submap(np.zeros((1, 3)), [np.zeros((0, 4))], 15.0)
+    old = build_submap(np.zeros((1, 3)), [np.zeros((0, 5))], 15.0)
     found = search_submap(submap_of(ROOM, OLD), old, np.zeros(3), REACH, TURN)
     assert all(match.known < MIN_KNOWN for match in found)
 

@@ -11,8 +11,8 @@ from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, empty_local_map, local_map_around
 from slam.matching.distance_field import DistanceField
 from slam.matching.line_matcher import Registration, ScanFeatures, register
-from slam.matching.point_matcher import FINE_SIGMA, POINT_SPACING, Prediction, match_points
-from slam.matching.scan_points import ScanPoints, segments_of, surface_points
+from slam.matching.point_matcher import POINT_SPACING, Prediction, match_points
+from slam.matching.scan_points import FINE_SIGMA, ScanPoints, segments_of, surface_points
 
 from ..outlines import NO_SEGMENTS
 
@@ -63,7 +63,7 @@ def field_of(points: np.ndarray) -> DistanceField:
 
 def register_scan(prediction: np.ndarray, scan: ScanFeatures, local_map: LocalMap) -> Registration:
     """Register a scan without points, starting at the prediction."""
-    return register(prediction, prediction, LOOSE_PRIOR, scan, np.zeros((0, 4)), local_map, EMPTY_FIELD, 0.0)
+    return register(prediction, prediction, LOOSE_PRIOR, scan, np.zeros((0, 5)), local_map, EMPTY_FIELD, 0.0)
 
 
 def match_and_register(
@@ -149,7 +149,7 @@ def test_clutter_points_determine_position_along_corridor() -> None:
 
 
 def points_on(segments: Segments) -> np.ndarray:
-    """Return points (p, 4) with normals on the segments, nearly from end to end."""
+    """Return points (p, 5) with normals on the segments, nearly from end to end."""
     points = wall_points(segments.frame, 0.99 * segments.half_length)
     return surface_points(points, segments, POINT_SPACING)
 
@@ -187,7 +187,9 @@ def test_points_on_walls_that_are_not_known_count_by_the_field() -> None:
 
 def test_pose_of_the_points_is_independent_of_the_walls() -> None:
     truth, displacement = np.array([0.5, 0.2, 0.05]), np.array([0.03, 0.05])
-    clutter = np.random.default_rng(3).uniform([-4, -0.9], [4, 0.9], (40, 2))
+    random = np.random.default_rng(3)
+    objects = random.uniform([-4, -0.9], [4, 0.9], (40, 2))
+    clutter = np.repeat(objects, 2, axis=0) + random.normal(0.0, 0.005, (80, 2))  # two beams meet each object
     scan = simulate_scan(truth, CORRIDOR, CORRIDOR_HALVES)
     points = surface_points(se2.transform(se2.inverse(truth), clutter), NO_SEGMENTS, POINT_SPACING)
     walls, field = build_local_map(CORRIDOR, CORRIDOR_HALVES), field_of(clutter + displacement)

@@ -176,7 +176,7 @@ def test_points_in_unseen_space_are_no_evidence(heading: float) -> None:
     beyond = np.column_stack([np.arange(7.0, 9.0, 0.06), random.uniform(-3.0, 6.0, 34)])
     points = scan_points(ROOM, truth)
     plain = match_points(ROOM_FIELD, points, [prediction])[0]
-    through = np.column_stack([se2.transform(se2.inverse(truth), beyond), np.zeros_like(beyond)])
+    through = np.column_stack([se2.transform(se2.inverse(truth), beyond), np.zeros_like(beyond), np.ones(len(beyond))])
     found = match_points(ROOM_FIELD, np.concatenate([points, through]), [prediction])[0]
     np.testing.assert_allclose(found.pose, plain.pose, atol=1e-9)
     np.testing.assert_allclose(found.information, plain.information, rtol=1e-6, atol=1e-3)
@@ -199,7 +199,7 @@ def test_people_stop_beams_but_no_beam_passes_through_a_wall() -> None:
     points = scan_points(ROOM, INSIDE)
     behind_the_wall = se2.compose(np.array([-1.0, 0.0, 0.0]), INSIDE)
     assert crossing_beams(ROOM_FIELD.arrays, points, INSIDE) <= 0.02 * len(points)
-    assert crossing_beams(ROOM_FIELD.arrays, points * [0.5, 0.5, 1.0, 1.0], INSIDE) == 0
+    assert crossing_beams(ROOM_FIELD.arrays, points * [0.5, 0.5, 1.0, 1.0, 1.0], INSIDE) == 0
     assert crossing_beams(ROOM_FIELD.arrays, points, behind_the_wall) > 0.2 * len(points)
 
 

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from drivers import se2
 from slam.geometry.segments import Floats, Segments
-from slam.matching.scan_points import CONTINUATION, LINE_DISTANCE, POINT_UNIT, ScanPoints, segments_of, surface_points
+from slam.matching.scan_points import (
+    CONTINUATION,
+    FINE_SIGMA,
+    LINE_DISTANCE,
+    POINT_UNIT,
+    ScanPoints,
+    segments_of,
+    surface_points,
+)
 
 from ..outlines import NO_SEGMENTS, outline, visible, with_noise
 
@@ -42,7 +50,7 @@ def test_points_near_the_one_kept_before_are_left_out(seed: int, spacing: float)
 @given(SEEDS)
 def test_normals_are_perpendicular_to_a_straight_wall(seed: int) -> None:
     frame = np.random.default_rng(seed).uniform(-5, 5, 3)
-    normals = surface_points(wall_points(frame, 3.0), NO_SEGMENTS, SPACING)[:, 2:]
+    normals = surface_points(wall_points(frame, 3.0), NO_SEGMENTS, SPACING)[:, 2:4]
     assert len(normals) > 40
     np.testing.assert_allclose(np.abs(normals @ [-np.sin(frame[2]), np.cos(frame[2])]), 1.0, atol=1e-9)
     np.testing.assert_allclose(normals @ [np.cos(frame[2]), np.sin(frame[2])], 0.0, atol=1e-6)
@@ -51,7 +59,7 @@ def test_normals_are_perpendicular_to_a_straight_wall(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_normals_of_a_noisy_wall_are_nearly_perpendicular(seed: int) -> None:
     points = wall_points(np.array([1.0, 2.0, 0.7]), 4.0) + np.random.default_rng(seed).normal(0.0, 0.005, (200, 2))
-    normals = surface_points(points, NO_SEGMENTS, SPACING)[:, 2:]
+    normals = surface_points(points, NO_SEGMENTS, SPACING)[:, 2:4]
     assert (np.abs(normals @ [-np.sin(0.7), np.cos(0.7)]) > 0.99).all()
 
 
@@ -61,7 +69,7 @@ def test_points_on_a_segment_have_its_normal_also_beyond_its_ends(seed: int) -> 
     frame, half = random.uniform(-3, 3, 3), 0.5
     segments = Segments(frame[None], np.array([half]), np.zeros((1, 2, 2)))
     points = wall_points(frame, 2 * (CONTINUATION - 0.1) * half) + random.normal(0.0, 0.02, (145, 2))
-    normals = surface_points(points, segments, SPACING)[:, 2:]
+    normals = surface_points(points, segments, SPACING)[:, 2:4]
     np.testing.assert_array_equal(normals, np.tile([-np.sin(frame[2]), np.cos(frame[2])], (len(normals), 1)))
 
 
@@ -72,10 +80,10 @@ def test_normals_point_to_the_lidar_wherever_it_is_mounted(seed: int) -> None:
     lidar, mount = random.uniform([0.3, 0.3, -3.0], [3.2, 1.7, 3.0]), random.uniform(-3.0, 3.0, 3)
     points = se2.transform(mount, with_noise(visible(outline(ROOM), lidar), random))
     kept = surface_points(points, NO_SEGMENTS, SPACING)
-    on_surface = kept[kept[:, 2:].any(axis=1)]
+    on_surface = kept[kept[:, 2:4].any(axis=1)]
     assert len(on_surface) > 100
-    np.testing.assert_allclose(np.hypot(*on_surface[:, 2:].T), 1.0)
-    towards = ((mount[:2] - on_surface[:, :2]) * on_surface[:, 2:]).sum(axis=1)
+    np.testing.assert_allclose(np.hypot(*on_surface[:, 2:4].T), 1.0)
+    towards = ((mount[:2] - on_surface[:, :2]) * on_surface[:, 2:4]).sum(axis=1)
     assert (towards > -0.05).all()  # up to the noise of walls that are seen from the side
     assert np.mean(towards > 0.2) > 0.9
 
@@ -85,7 +93,7 @@ def test_normal_of_a_segment_is_that_of_the_side_from_which_it_is_seen(mount: li
     frame = np.array([0.0, -1.0, 0.1])  # seen from y > 0 in the lidar's frame; the base may be on the other side
     segments = Segments(se2.compose(np.array(mount), frame)[None], np.array([1.0]), np.zeros((1, 2, 2)))
     points = se2.transform(np.array(mount), wall_points(frame, 2.0))
-    normals = surface_points(points, segments, SPACING)[:, 2:]
+    normals = surface_points(points, segments, SPACING)[:, 2:4]
     turned = se2.compose(np.array(mount), frame)[2]
     np.testing.assert_allclose(normals, np.tile([-np.sin(turned), np.cos(turned)], (len(normals), 1)), atol=1e-12)
 
@@ -110,7 +118,7 @@ def test_points_belong_to_the_nearest_segment_between_its_ends() -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_random_clutter_has_no_normals(seed: int) -> None:
     clutter = np.random.default_rng(seed).uniform(-0.3, 0.3, (60, 2))
-    normals = surface_points(clutter, NO_SEGMENTS, SPACING)[:, 2:]
+    normals = surface_points(clutter, NO_SEGMENTS, SPACING)[:, 2:4]
     assert len(normals) > 40
     assert np.count_nonzero(normals.any(axis=1)) <= 1  # a few points may lie on a line by chance
 
@@ -120,14 +128,31 @@ def test_corners_have_no_normals() -> None:
     corner = np.array([3.0, 0.0])
     kept = surface_points(points, NO_SEGMENTS, SPACING)
     apart = np.linalg.norm(kept[:, :2] - corner, axis=1)
-    assert not kept[apart < 0.1, 2:].any()
+    assert not kept[apart < 0.1, 2:4].any()
     assert kept[(apart > 0.5) & (kept[:, 1] < 1e-9) & (kept[:, 0] > 0.5), 3].all()
 
 
 def test_single_points_have_no_normals() -> None:
-    assert surface_points(np.zeros((0, 2)), NO_SEGMENTS, SPACING).shape == (0, 4)
+    assert surface_points(np.zeros((0, 2)), NO_SEGMENTS, SPACING).shape == (0, 5)
     alone = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [6.0, 0.0], [8.0, 0.0]])
-    np.testing.assert_array_equal(surface_points(alone, NO_SEGMENTS, SPACING)[:, 2:], 0.0)
+    np.testing.assert_array_equal(surface_points(alone, NO_SEGMENTS, SPACING)[:, 2:4], 0.0)
+
+
+def test_the_share_of_single_points_is_the_less_the_farther_the_beams_are_apart() -> None:
+    """Objects are met by beams in pairs: the pairs are metres apart, so that no line is fitted."""
+    gaps = np.array([0.001, 2 * FINE_SIGMA, 1.0])
+    firsts = np.column_stack([3.0 * np.arange(3), np.zeros(3)])
+    pairs = np.stack([firsts, firsts + np.column_stack([np.zeros(3), gaps])], axis=1).reshape(-1, 2)
+    kept = surface_points(pairs, NO_SEGMENTS, 0.0)
+    assert not kept[:, 2:4].any()
+    np.testing.assert_allclose(kept[::2, 4], [1.0, 0.5, 0.0], atol=5e-3)
+    np.testing.assert_array_equal(kept[::2, 4], kept[1::2, 4])
+
+
+def test_points_of_known_surfaces_have_all_of_their_share() -> None:
+    kept = surface_points(outline(ROOM), NO_SEGMENTS, SPACING)
+    np.testing.assert_array_equal(kept[:, 4], 1.0)
+    assert not kept[:, 2:4].any(axis=1).all()  # the corners are known to be on no line
 
 
 def test_points_are_rounded_to_the_unit_and_clipped() -> None:
