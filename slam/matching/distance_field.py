@@ -80,8 +80,12 @@ class DistanceField:
         return DistanceField(origin, self.offsets, self.seen, self.waiting)
 
     def completed(self) -> DistanceField:
-        """Return the field in as little memory as it needs to be matched with: no scan can be inserted any more."""
-        return DistanceField(self.origin, self.offsets.copy(), self.seen, WaitingPoints.empty(0))
+        """Return the field in as little memory as it needs to be matched with: no scan can be inserted any more.
+
+        It takes the memory of this one, which is not valid any more.
+        """
+        self.offsets.trim()
+        return DistanceField(self.origin, self.offsets, self.seen, WaitingPoints.empty(0))
 
     def __deepcopy__(self, memo: dict[int, object]) -> DistanceField:
         """Return an independent copy."""

@@ -245,8 +245,9 @@ def test_a_cleared_field_is_like_a_new_one() -> None:
 def test_a_completed_field_has_the_same_values_in_less_memory() -> None:
     field = DistanceField.empty(np.zeros(2), HALF_WIDTH)
     field.insert(np.zeros(3), wall_points(np.array([1.0, 0.2]), np.array([-1.0, 0.0])))
+    offsets, seen, room = offsets_of(field), field.seen.copy(), len(field.offsets.tiles)
     completed = field.completed()
-    assert np.array_equal(offsets_of(completed), offsets_of(field))
-    assert np.array_equal(completed.seen, field.seen)
-    assert len(completed.offsets.tiles) == field.offsets.count < len(field.offsets.tiles)
+    assert np.array_equal(offsets_of(completed), offsets)
+    assert np.array_equal(completed.seen, seen)
+    assert len(completed.offsets.tiles) == completed.offsets.count < room
     assert completed.waiting.scan_of.nbytes == 0
