@@ -7,11 +7,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...config import Config, config_to_toml
+from ...config import Config
 from ...errors import MapError
 from ...formatting import counted
 from ...io.host import peak_memory, versions
-from ...io.output_dir import PICTURE, REVIEW, OutputDirectory
+from ...io.output_dir import PICTURE, OutputDirectory
 from ...io.recordings import absolute_recording, open_source
 from ...io.run_results import write_results
 from ..compilation import compile_for_recording
@@ -20,7 +20,7 @@ from ..notice_collector import NoticeCollector
 from ..run_input import InputStatistics, RecordingInput
 from ..run_setup import READING_SESSION
 from ..run_summary import RunResult, format_summary
-from ..slam_run import process_messages, write_report_page
+from ..slam_run import process_messages, review_log, write_report_page
 
 if TYPE_CHECKING:
     from ...events import Event, Sink
@@ -117,10 +117,7 @@ def _optimise(
     with ExitStack() as log:
         sinks: list[Sink] = []
         if review:
-            from ...visualisation.rerun_log import ReviewLog
-
-            settings, name = config_to_toml(session.config), str(summary.get("recording", ""))
-            written = ReviewLog(directory / REVIEW, config=settings, recording=name, versions=versions(), complete=True)
+            written = review_log(directory, session.config, str(summary.get("recording", "")), complete=True)
             sinks.append(BlockingSink(log.enter_context(written)))
         try:
             optimised = optimise(session, sinks)

@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator, Mapping
 
 import numpy as np
-from scipy.special import chdtri
 
 from ...events import Correction, KeyframeAdded, LoopDecided
 from ...formatting import percent
+from ...graph.chi_square import chi_square_tail
 from ...graph.residuals import MEASUREMENTS, Residuals
 from .feature_matches import FeatureMatches
 
@@ -118,8 +118,9 @@ def residual_report(residuals: Residuals, count: int) -> str:
         if not chosen.any():
             continue
         dof, squared = residuals.dof[chosen], residuals.squared[chosen]
-        beyond = float(np.mean(squared > chdtri(dof, 0.001)))
-        lines.append(f"| {kind} | {len(squared)} | {squared.sum() / dof.sum():.2f} | {percent(beyond, 1)} |")
+        beyond = sum(int((chi_square_tail(n, squared[dof == n]) < 0.001).sum()) for n in np.unique(dof).tolist())
+        share = percent(beyond / len(squared), 1)
+        lines.append(f"| {kind} | {len(squared)} | {squared.sum() / dof.sum():.2f} | {share} |")
     lines += ["", "The expected mean is 1 if the noise is as modelled.", ""]
     lines += ["| worst factors | kind | d² | weight |", "|---|---|---|---|"]
     for index in residuals.worst(count).tolist():

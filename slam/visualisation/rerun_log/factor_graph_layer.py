@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from scipy.special import chdtr
 
 from drivers import se2
 
 from ...events import GraphInspected, KeyframeAdded
 from ...geometry.segments import Floats, Integers
+from ...graph.chi_square import chi_square_tail
 from ...graph.residuals import CORNER, GAUGE_PRIOR, MEASUREMENTS, ODOMETRY, PRIOR, WALL, Residuals
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
@@ -127,8 +127,8 @@ class FactorGraphLayer:
         limits[-1] = np.inf
         observed, _ = np.histogram(np.sqrt(squared / dof), limits)
         expected = np.zeros(BINS)
-        for freedom, count in zip(*np.unique(dof, return_counts=True), strict=True):
-            expected += count * np.diff(chdtr(freedom, freedom * limits**2))
+        for freedom in np.unique(dof).tolist():
+            expected -= (dof == freedom).sum() * np.diff(chi_square_tail(freedom, freedom * limits**2))
         middles, total = BIN * (np.arange(BINS) + 0.5), max(len(squared), 1)
         for place, (name, counts, shade) in enumerate(
             (("observed", observed, colours.ESTIMATE), ("expected", expected, colours.ODOMETRY))
