@@ -37,7 +37,9 @@ def main() -> None:
         print_message(error)
         sys.exit(EXIT_USER_ERROR)
     from .app import app, leave_out_others
+    from .compilation import announce_compilation
 
+    announce_compilation()
     leave_out_others(sys.argv[1:])
     command = get_command(app)
     exit_on_signals()

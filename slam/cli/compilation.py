@@ -1,12 +1,37 @@
-"""Compilation for a run, with a message if it takes long."""
+"""Compilation, with a message if it takes long."""
 
 from __future__ import annotations
 
+import sys
 from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from .console import print_if_slow
 
+if TYPE_CHECKING:
+    from .compilation_message import CompilationMessage
+
 COMPILING = "compiling, once after an installation or update; takes about a minute"
+
+
+class _CompiledFunctionsFinder:
+    """Finder of no module, which announces compilations just before the first compiled function is imported."""
+
+    @classmethod
+    def find_spec(cls, name: str, path: object = None, target: object = None) -> None:
+        if name == "kernel_cache.functions":
+            sys.meta_path.remove(cls)
+            import_module("kernel_cache.numba_import")
+            _announce_compilation()
+
+
+def announce_compilation() -> None:
+    """Print a message if this process compiles for long, whatever command it runs; imports nothing yet."""
+    if "kernel_cache.functions" in sys.modules:
+        _announce_compilation()
+    else:
+        sys.meta_path.insert(0, _CompiledFunctionsFinder)
 
 
 @cache
@@ -16,9 +41,9 @@ def compile_all() -> None:
     from ..warmup import warm_up
 
     if is_compiled():
-        _announce_compilation()
         warm_up()
     else:
+        _announce_compilation().leave_out()
         with print_if_slow(COMPILING):  # the first time, other processes compile too
             warm_up()
 
@@ -31,17 +56,17 @@ def compile_for_recording() -> None:
     """
     from ..preprocessing.extraction import is_compiled
 
-    if is_compiled():
-        _announce_compilation()
-    else:
+    if not is_compiled():
         compile_all()
 
 
 @cache
-def _announce_compilation() -> None:
+def _announce_compilation() -> CompilationMessage:
     """Print a message if this process compiles for long, from now on."""
     from numba.core.event import register
 
     from .compilation_message import CompilationMessage
 
-    register("numba:compile", CompilationMessage(COMPILING))  # type: ignore[no-untyped-call]
+    message = CompilationMessage(COMPILING)
+    register("numba:compile", message)  # type: ignore[no-untyped-call]
+    return message

@@ -21,6 +21,10 @@ class CompilationMessage(Listener):
         self._depth, self._started, self._left = 0, 0.0, SLOW_SECONDS
         self._timer: Timer | None = None
 
+    def leave_out(self) -> None:
+        """Print no message any more."""
+        self._left = 0.0
+
     def on_start(self, event: Event) -> None:
         """Start to count if no compilation is under way."""
         self._depth += 1

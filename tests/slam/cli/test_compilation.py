@@ -1,5 +1,8 @@
 """The message that a command compiles: once, if that takes long."""
 
+import subprocess
+import sys
+
 import pytest
 from numba import njit
 from numba.core.event import install_listener
@@ -47,3 +50,27 @@ def test_compiling_for_a_short_time_prints_nothing(
         assert njit(lambda x: x + 1)(1) == 2
     wait_for_timers()
     assert capsys.readouterr().err == ""
+
+
+def test_every_command_announces_that_it_compiles_and_none_imports_the_compiler_for_that() -> None:
+    code = """
+import sys
+from threading import Timer, enumerate as threads
+
+import slam.cli.console
+from slam.cli.compilation import announce_compilation
+
+slam.cli.console.SLOW_SECONDS = 1e-6
+announce_compilation()
+assert "numba" not in sys.modules
+
+import drivers.compiled
+from numba import njit
+
+njit(lambda x: x + 1)(1)
+for timer in threads():
+    if isinstance(timer, Timer):
+        timer.join()
+"""
+    answer = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=250)
+    assert answer.stderr == f"wclm: {compilation.COMPILING}\n"
