@@ -10,7 +10,10 @@ import sys
 
 
 class _PandasMissing:
-    """Finder of modules that states of pandas that it is not installed."""
+    """Finder of modules that states of pandas that it is not installed.
+
+    None in `sys.modules` would not do: Arrow's compiled import takes it for the module.
+    """
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:

@@ -176,8 +176,8 @@ def _enter_into_tile(tiles, tile, first, last, x, y):  # type: ignore[no-untyped
     """Enter the offsets from a point at (x, y), in cells of the tile, into its rows from `first` to before `last`.
 
     There is no branch for each cell, and squares are integers of 32 bits, so that many cells are computed at once. If
-    nothing were done with the chosen offsets, LLVM would store only those that change, by an instruction that takes ten
-    times as long on some processors. So the exclusive or with zero is stored, which only the empty tile shows to be 0.
+    nothing were done with the chosen offsets, LLVM would store only those that change, by masked stores, which are
+    slower. So the exclusive or with zero is stored, which only the empty tile shows to be 0.
     """
     t, zero = np.uintp(tile), np.int32(tiles[0, 0, 0] ^ NO_OFFSET)
     for i in range(first, last):
