@@ -73,9 +73,10 @@ def fast_dds_peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sources = Path(__file__).with_name("fast_dds_peer")
     idl, program = str(shutil.copy(sources / "messages.idl", folder)), folder / "peer"
     subprocess.run(["fastddsgen", "-replace", "-d", str(folder), idl], cwd=folder, check=True, capture_output=True)
-    generated = [str(folder / name) for name in ("messages.cxx", "messagesPubSubTypes.cxx")]
+    # As one translation unit, the headers of Fast DDS are compiled once: half of the time.
+    generated = [f"-include{folder / name}" for name in ("messages.cxx", "messagesPubSubTypes.cxx")]
     libraries = ["-lfastrtps", "-lfastcdr", "-pthread"]
-    command = ["g++", "-std=c++17", f"-I{folder}", str(sources / "peer.cpp"), *generated, *libraries]
+    command = ["g++", "-std=c++17", f"-I{folder}", *generated, str(sources / "peer.cpp"), *libraries]
     subprocess.run([*command, "-o", str(program)], check=True)
     return program
 

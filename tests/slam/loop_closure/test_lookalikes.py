@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.messages import Scan
-from drivers.simulation import Simulation
 from slam.evaluation.benchmarks import false_closures
 from slam.evaluation.benchmarks.false_closures import Adversary
 from slam.evaluation.benchmarks.lookalike import (
@@ -45,6 +44,7 @@ from slam.recognition.loop_evidence import check_evidence
 
 from ...recordings import recording_folder
 from ..outlines import outline
+from ..simulated_worlds import limit_drives
 
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])
 NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
@@ -83,17 +83,6 @@ def test_row_counts_wrong_relocalisations_and_drives_with_wrong_final_pose() -> 
     (row,) = summarise_worlds([twice, once, build_drive()])
     assert (row.relocated, row.misplaced, row.ended_off) == (3, 1, 1)
     assert (twice.misplaced, once.misplaced) == (1, 0)
-
-
-def limit_drives(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let drives in simulated worlds end after some seconds."""
-
-    def limited(*arguments: Any) -> Simulation:
-        simulation = simulation_of(*arguments)
-        simulation.duration = seconds
-        return simulation
-
-    monkeypatch.setattr("slam.evaluation.benchmarks.lookalike.simulation_of", limited)
 
 
 def test_needed_loop_is_closed_at_the_right_place(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -136,6 +125,7 @@ def test_the_evidence_of_a_drive_rejects_the_next_door(monkeypatch: pytest.Monke
         return found
 
     monkeypatch.setattr("slam.estimation.loop_update.check_evidence", compared)
+    limit_drives(monkeypatch, 170.0)  # the loop is closed after 168 s
     result = run_world("equal_doors", 8694)
     assert not result.wrong
     assert decisions, "looks did not agree, so this proves nothing"

@@ -13,6 +13,8 @@ from slam.mapping.keyframe_covariances import KeyframeCovariances
 from slam.recognition import loop_evidence
 from slam.recognition.location import DOUBTED, Expectation, Location
 
+from ..simulated_worlds import limit_drives
+
 COVARIANCE_FACTOR = 0.02  # standard deviations seven times too small
 
 
@@ -30,6 +32,7 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
 
     original = loop_evidence.locate
     monkeypatch.setattr(loop_evidence, "locate", locate)
+    limit_drives(monkeypatch, 130.0)  # the loops are closed after 122 s
     run = run_world("large_loop", seed)
     assert run.needed
     assert run.joined

@@ -25,6 +25,9 @@ from ..listeners import EventCollector
 
 pytestmark = pytest.mark.shared_run
 
+DURATION = 136.0
+"""Duration of the drive, seconds: the loop is closed after 123 s, and retracted 8 s later."""
+
 
 class Logged(NamedTuple):
     """Log and events of a run that accepted a loop and retracted it, and the pipeline at its end."""
@@ -46,7 +49,8 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
         patch.setattr(closure_monitor, "MAX_ADDED_CONTRADICTION", -1.0)
         patch.setattr(closure_monitor, "CONFIRMING_CHECKS", 1)
         slam = Slam(sinks=[listener, review])
-        for message in Simulation("large_loop", seed=0, lidar=LIDAR_MODELS["short"], wheels=WHEEL_MODELS["bad"]):
+        lidar, wheels = LIDAR_MODELS["short"], WHEEL_MODELS["bad"]
+        for message in Simulation("large_loop", seed=0, duration=DURATION, lidar=lidar, wheels=wheels):
             slam.add(message)
         slam.finish()
     assert review.failures == 0, review.first_failure
