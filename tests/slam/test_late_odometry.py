@@ -18,7 +18,7 @@ BOOTING = 1.5
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=22, duration=40.0, lidar=LidarModel(beams=360, rate=10.0)))
+    return list(Simulation("office", seed=22, duration=32.0, lidar=LidarModel(beams=360, rate=10.0)))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_a_base_that_boots_while_the_robot_moves_costs_little_accuracy(drive: li
     """Nothing is known of the motion meanwhile but what follows it, which differs in some of these places."""
     errors = []
     for begin in (7.0, 10.0, 13.0, 16.0, 19.0, 22.0, 25.0):
-        ready = [m for m in drive if begin <= m.stamp < begin + 9.0 and not isinstance(m, GroundTruth)]
+        ready = [m for m in drive if begin <= m.stamp < begin + 6.0 and not isinstance(m, GroundTruth)]
         booting = [m for m in ready if not (isinstance(m, Odometry) and m.stamp < begin + BOOTING)]
         errors.append(largest_error(booting, truth))
     assert np.median(errors) < 0.012

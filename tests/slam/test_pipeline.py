@@ -46,7 +46,7 @@ def without_ground_truth(messages: Iterable[Message]) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("room", seed=3, duration=16.0, lidar=LidarModel(beams=360)))
+    return list(Simulation("room", seed=3, duration=14.0, lidar=LidarModel(beams=360)))
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +89,7 @@ def test_odometry_that_contradicts_a_scan_is_a_warning_only_if_it_is_far_off(
     assert [event.level for event in listener.of(Notice) if "odometry" in event.text] == levels
 
 
-@pytest.mark.parametrize(("world", "duration", "bound"), [("room", 30.0, 0.006), ("office", 30.0, 0.015)])
+@pytest.mark.parametrize(("world", "duration", "bound"), [("room", 20.0, 0.006), ("office", 20.0, 0.015)])
 def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float, bound: float) -> None:
     messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=360)))
     finished = run(messages)

@@ -59,7 +59,7 @@ def test_the_nees_is_the_squared_error_in_standard_deviations(world: TrueWalls) 
 
 
 def test_short_drives_are_consistent_within_a_wide_band() -> None:
-    runs = list(simulate(range(3), duration=25.0))
+    runs = list(simulate(range(3), duration=15.0))
     assert np.isfinite(np.concatenate([run.walls for run in runs if run is not None])).mean() > 0.8
     result = summarise(runs)
     assert {row.name for row in result.rows} == {"poses", "last pose", "relative poses", "walls", "corners"}

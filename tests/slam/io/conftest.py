@@ -19,14 +19,27 @@ def write_directory(directory: Path, session: StoredSession) -> None:
     write_session(directory, session)
 
 
-@pytest.fixture(scope="session", params=[False, True], ids=["online", "refined"])
-def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[StoredSession, Path]:
-    slam = Slam(Config(), refine=request.param)
+def map_room(directory: Path, *, refine: bool) -> StoredSession:
+    """Map a drive of eight seconds, write the session to a directory, and return it."""
+    slam = Slam(Config(), refine=refine)
     for message in Simulation("room", seed=3, duration=8.0):
         slam.add(message)
     slam.finish()
     session = slam.session
     session.recordings.append(ROOM)
+    write_directory(directory, session)
+    return session
+
+
+@pytest.fixture(scope="session", params=[False, True], ids=["online", "refined"])
+def written(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[StoredSession, Path]:
     path = tmp_path_factory.mktemp("run") / "out"
-    write_directory(path, session)
-    return session, path
+    return map_room(path, refine=request.param), path
+
+
+@pytest.fixture(scope="session")
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Directory with a session of which tests damage copies; one that was refined is read in the same way."""
+    path = tmp_path_factory.mktemp("intact") / "out"
+    map_room(path, refine=False)
+    return path

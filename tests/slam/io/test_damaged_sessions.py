@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from slam.errors import MapError, SlamError
 from slam.graph.factors import FactorKind
 from slam.io.output_dir import SESSION
-from slam.io.sessions import StoredSession, is_session, read_session
+from slam.io.sessions import is_session, read_session
 from slam.io.sessions.session import FACTORS, HEADER, KEYFRAMES, SCANS, WALLS
 from slam.io.sessions.tables import TableReader, to_ragged, write_table
 
@@ -44,10 +44,8 @@ def test_directory_without_session_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", [4, 8, 10, None, "8\n"])
-def test_session_of_another_version_is_refused(
-    written: tuple[StoredSession, Path], tmp_path: Path, version: object
-) -> None:
-    path = shutil.copytree(written[1], tmp_path / "out")
+def test_session_of_another_version_is_refused(intact: Path, tmp_path: Path, version: object) -> None:
+    path = shutil.copytree(intact, tmp_path / "out")
     header = path / SESSION / HEADER
     header.write_text(json.dumps(json.loads(header.read_text()) | {"version": version}))
     stated = re.escape(repr(version))
@@ -73,9 +71,9 @@ def test_session_of_another_version_is_refused(
     ],
 )
 def test_header_with_an_invalid_value_is_refused(
-    written: tuple[StoredSession, Path], tmp_path: Path, keys: list[str], value: Any, message: str
+    intact: Path, tmp_path: Path, keys: list[str], value: Any, message: str
 ) -> None:
-    path = shutil.copytree(written[1], tmp_path / "out")
+    path = shutil.copytree(intact, tmp_path / "out")
     header = path / SESSION / HEADER
     data = record = json.loads(header.read_text())
     for key in keys[:-1]:
@@ -87,13 +85,13 @@ def test_header_with_an_invalid_value_is_refused(
 
 
 @pytest.mark.parametrize("name", [SCANS, FACTORS, WALLS])
-def test_missing_or_wrong_table_is_named(written: tuple[StoredSession, Path], tmp_path: Path, name: str) -> None:
-    path = shutil.copytree(written[1], tmp_path / "out")
+def test_missing_or_wrong_table_is_named(intact: Path, tmp_path: Path, name: str) -> None:
+    path = shutil.copytree(intact, tmp_path / "out")
     table = path / SESSION / name
     table.unlink()
     with pytest.raises(MapError, match=f"{name}: file is missing; the session is incomplete"):
         read_session(path)
-    shutil.copy(written[1] / SESSION / "odometry.parquet", table)
+    shutil.copy(intact / SESSION / "odometry.parquet", table)
     with pytest.raises(MapError, match=f"{name}: is not the table"):
         read_session(path)
 
@@ -106,7 +104,7 @@ def test_missing_or_wrong_table_is_named(written: tuple[StoredSession, Path], tm
     garbage=st.binary(min_size=8, max_size=8),
 )
 def test_damage_is_an_error_of_one_line(
-    written: tuple[StoredSession, Path],
+    intact: Path,
     tmp_path_factory: pytest.TempPathFactory,
     which: int,
     position: float,
@@ -114,7 +112,7 @@ def test_damage_is_an_error_of_one_line(
     garbage: bytes,
 ) -> None:
     """If a file is overwritten in part or truncated, the session is read, or refused with an error of one line."""
-    path = shutil.copytree(written[1], tmp_path_factory.mktemp("damaged") / "out")
+    path = shutil.copytree(intact, tmp_path_factory.mktemp("damaged") / "out")
     files = sorted((path / SESSION).iterdir())
     file = files[which % len(files)]
     content = bytearray(file.read_bytes())
@@ -160,14 +158,14 @@ CHANGES: list[tuple[str, str, Any, str]] = [
 
 @pytest.mark.parametrize(("name", "column", "value", "message"), CHANGES)
 def test_values_that_do_not_fit_together_are_refused(
-    written: tuple[StoredSession, Path],
+    intact: Path,
     tmp_path: Path,
     name: str,
     column: str,
     value: Any,
     message: str,
 ) -> None:
-    path = shutil.copytree(written[1], tmp_path / "out")
+    path = shutil.copytree(intact, tmp_path / "out")
     change_column(path / SESSION / name, column, value)
     with pytest.raises(MapError, match=message) as caught:
         read_session(path)
@@ -186,10 +184,8 @@ def change_column(file: Path, name: str, value: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", ["wall", "corner"])
-def test_a_landmark_of_the_graph_without_a_variable_is_refused(
-    written: tuple[StoredSession, Path], tmp_path: Path, kind: str
-) -> None:
-    path = shutil.copytree(written[1], tmp_path / "out")
+def test_a_landmark_of_the_graph_without_a_variable_is_refused(intact: Path, tmp_path: Path, kind: str) -> None:
+    path = shutil.copytree(intact, tmp_path / "out")
     file = path / SESSION / "variables.parquet"
     table = pq.read_table(file)
     confirmed = table.filter(pc.not_equal(table.column("kind"), kind)).replace_schema_metadata(table.schema.metadata)
@@ -199,8 +195,8 @@ def test_a_landmark_of_the_graph_without_a_variable_is_refused(
 
 
 @pytest.mark.parametrize("value", [0.0, -0.01])
-def test_a_range_without_noise_is_refused(written: tuple[StoredSession, Path], tmp_path: Path, value: float) -> None:
-    path = shutil.copytree(written[1], tmp_path / "out")
+def test_a_range_without_noise_is_refused(intact: Path, tmp_path: Path, value: float) -> None:
+    path = shutil.copytree(intact, tmp_path / "out")
     header = path / SESSION / HEADER
     data = json.loads(header.read_text())
     data["sensor_models"]["sigma_range"] = value
@@ -250,9 +246,9 @@ def test_no_damage_of_a_footer_ends_the_process(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
-def test_odometry_that_leads_back_is_refused(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+def test_odometry_that_leads_back_is_refused(intact: Path, tmp_path: Path) -> None:
     """The drift is followed along odometry to the first keyframe; in a circle that would never end."""
-    path = shutil.copytree(written[1], tmp_path / "out")
+    path = shutil.copytree(intact, tmp_path / "out")
     file = path / SESSION / FACTORS
     table = pq.read_table(file)
     factors = table.to_pylist()

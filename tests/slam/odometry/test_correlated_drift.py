@@ -36,7 +36,7 @@ def bent_corridor(folder: Path, seed: int) -> Path:
     return world
 
 
-@pytest.mark.parametrize("seed", [3, 5])
+@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
 def test_slightly_bent_walls_do_not_tear_a_corridor_apart(tmp_path: Path, seed: int) -> None:
     simulation = Simulation(bent_corridor(tmp_path, seed), seed=seed, lidar=LIDAR_MODELS["short"])
     slam, truth = Slam(), []

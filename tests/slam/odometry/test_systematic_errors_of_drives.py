@@ -10,6 +10,7 @@ from slam.config import Config, LidarConfig
 from slam.pipeline import Slam
 
 MOUNT = np.array([0.1, 0.0, 0.0])
+LIDAR = LidarModel(beams=360, rate=5.0)
 ERROR = np.array([0.07, -0.04, 0.03])
 """Of the mount in the settings, in the base's frame."""
 
@@ -18,7 +19,7 @@ ERROR = np.array([0.07, -0.04, 0.03])
 def test_wheels_too_long_and_a_wrong_mount_are_found(seed: int) -> None:
     """Drive with wheels that measure 3 % too long, and with a lidar that is 7 cm and 2 degrees from where it seems."""
     wheels = WheelModel(scale_bias=0.03, difference_bias=0.0, wheelbase_bias=0.0)
-    simulation = Simulation("office", seed=seed, duration=90.0, lidar=LidarModel(beams=360), wheels=wheels, mount=MOUNT)
+    simulation = Simulation("office", seed=seed, duration=90.0, lidar=LIDAR, wheels=wheels, mount=MOUNT)
     stated = se2.compose(ERROR, MOUNT)
     slam = Slam(Config(lidar=LidarConfig(mount=tuple(stated.tolist()))))
     for message in simulation:
