@@ -148,7 +148,7 @@ def test_slip_is_as_stated_and_biases_are_drawn_per_seed() -> None:
     straight = replace(square(100.0), waypoints=np.array([[0.0, 0.0], [40.0, 0.0]]))
     finals = []
     for seed in range(300):
-        simulation = Simulation(straight, seed=seed, duration=5.0, wheels=wheels, lidar=replace(QUIET, beams=1))
+        simulation = Simulation(straight, seed=seed, duration=3.0, wheels=wheels, lidar=replace(QUIET, beams=1))
         messages = list(simulation)
         last = [message for message in messages if isinstance(message, Odometry)][-1]
         truth = truth_of(messages)

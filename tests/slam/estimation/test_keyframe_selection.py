@@ -52,7 +52,7 @@ def test_the_first_scan_is_due() -> None:
 
 def test_odometry_is_learned_between_keyframes_too() -> None:
     slam = Slam()
-    for message in Simulation(load_world("office"), 3, 30.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
+    for message in Simulation(load_world("office"), 3, 20.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
         slam.add(message)
     state = slam.slam_state
     samples = state.odometry_model.samples
