@@ -211,10 +211,10 @@ def test_session_that_overlaps_no_other_is_refused(fake_sessions: dict[str, Any]
 # Places that look alike
 
 LOOKALIKE = {
-    "there": ("sim:corridor?seed=2&lidar=short", 0.0, 54.0),
-    "back": ("sim:corridor?seed=3&lidar=short", 101.0, 155.0),
-    "one side": ("sim:square?seed=2&lidar=short&odometry=bad", 0.0, 62.0),
-    "another side": ("sim:square?seed=3&lidar=short&odometry=bad", 115.0, 176.0),
+    "there": ("sim:corridor?seed=2&lidar=short", 0.0, 42.0),
+    "back": ("sim:corridor?seed=3&lidar=short", 113.0, 155.0),
+    "one side": ("sim:square?seed=2&lidar=short&odometry=bad", 0.0, 46.0),
+    "another side": ("sim:square?seed=3&lidar=short&odometry=bad", 115.0, 160.0),
 }
 """Drives through a corridor with doors in both directions, and through a building with four equal sides, and the time
 in seconds from and up to which each is used."""
