@@ -61,7 +61,7 @@ class Bench:
     """Test bench with simulated time; all open ports are read at every tick."""
 
     def __init__(self, emulator: Emulator, opened: ExitStack) -> None:
-        self.emulator, self.time, self.step = emulator, 0.0, 0.002
+        self.emulator, self.time, self.step = emulator, 0.0, 0.004
         self.hosts: list[Host] = []
         self._opened = opened
 
