@@ -94,7 +94,7 @@ def estimate_delay(turns: Turns, times: BeamTimes = STATED) -> Delay | None:
     if not abs(seconds) < MAX_DELAY - STEP or not sigma > 0.0:
         return None
     significant = abs(seconds) / sigma > upper_limit(ERROR_PROBABILITY / 2, len(weights) - 1)
-    objection = None if significant else f"it may be chance (error probability above {ERROR_PROBABILITY:g})"
+    objection = None if significant else f"not significant (error probability above {ERROR_PROBABILITY:g})"
     if significant and _predicts_worse(runs, turns.odometry, seconds):
         objection = "contradicted by the turns from scan to scan"
     return Delay(seconds, sigma, objection)

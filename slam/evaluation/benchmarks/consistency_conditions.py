@@ -100,5 +100,10 @@ CONDITIONS: dict[str, Condition] = {
         LIDAR_MODELS["short"],
         WHEEL_MODELS["bad"],
     ),
+    "sparse-buildings": Condition(
+        "the same, good wheels and 120 beams with a range of 6 m",
+        _drawn(random_building),
+        replace(LIDAR_MODELS["short"], beams=120),
+    ),
 }
 """Conditions by name."""

@@ -355,6 +355,6 @@ def test_calibrate_states_why_a_delay_is_not_compensated(wclm: Any, tmp_path: Pa
             writer.write(message)
     result = wclm("calibrate", "drive.mcap")
     assert result.exit_code == 0, result.output
-    assert "s of the lidar against odometry; not compensated: it may be chance" in result.stdout
+    assert "s of the lidar against odometry; not compensated: not significant" in result.stdout
     assert "lidar.delay" not in result.stdout
     assert re.search(r"^wclm run: --set 'lidar\.mount=\[0\.\S+,\S+\]' --set lidar\.range_bias=", result.stdout, re.M)

@@ -197,7 +197,7 @@ def test_delay_of_the_settings_moves_odometry() -> None:
         (Delay(0.31, 0.02, None), 0.3),
         (Delay(0.28, 0.02, "shorter than the period of the scans"), 0.3),
         (Delay(0.8, 0.02, None), 0.8),
-        (Delay(0.01, 0.02, "it may be chance"), 0.0),
+        (Delay(0.01, 0.02, "not significant"), 0.0),
     ],
 )
 def test_lidars_have_one_delay_unless_they_clearly_differ(second: Delay | None, used: float) -> None:

@@ -13,7 +13,8 @@ from .output import JsonOption, check_conditions, heading, provenance
 
 NAMES = (
     "nominal, range-noise-5mm, range-noise-3cm, half-circle, range-bias, bent-walls, spin-2hz, bad-wheels, "
-    "bearing-noise, outliers, late-scans, inexact-stamps, corridor, columns, boxes, buildings, worn-buildings"
+    "bearing-noise, outliers, late-scans, inexact-stamps, corridor, columns, boxes, buildings, "
+    "worn-buildings, sparse-buildings"
 )
 
 
