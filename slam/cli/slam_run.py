@@ -24,7 +24,6 @@ from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
 from ..mapping.odometry_segments import MAX_BREAK
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
-from .arrow_import import import_arrow
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
@@ -170,7 +169,6 @@ def review_log(
     complete: bool,
 ) -> ReviewLog:
     """Create the review log in an output directory; `name` is that of the recording, for `complete` see `ReviewLog`."""
-    import_arrow()
     from ..visualisation.rerun_log import ReviewLog
 
     settings = config_to_toml(config)
