@@ -91,8 +91,8 @@ def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats
     The share of a point is that of its information which is independent of other points: 1, except for a point whose
     surface is not known as the neighbours are too few. Its surface is known at the ends of the beams only: up to half
     of the gap g between two of them, the point is compared with another piece of it. Beams far apart slide along
-    surfaces as the robot moves, all alike, so that this error does not average out. So it is added to the standard
-    deviation of the point, s: the share is s^2 / (s^2 + (g / 2)^2).
+    surfaces as the robot moves, all alike. The variance of an error that is even up to g / 2, g^2 / 12, is added to
+    that of the point, s^2: the share is s^2 / (s^2 + g^2 / 12).
     """
     points = np.ascontiguousarray(points)  # subsampled ones would be compiled for separately
     return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing))
@@ -120,7 +120,7 @@ def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-u
         if line >= 0:
             kept[k, 2], kept[k, 3] = -axes[line, 1], axes[line, 0]
         elif not _set_normal(kept, k):
-            kept[k, 4] = FINE_SIGMA**2 / (FINE_SIGMA**2 + (0.5 * _gap_beside(points, rows[k])) ** 2)
+            kept[k, 4] = FINE_SIGMA**2 / (FINE_SIGMA**2 + _gap_beside(points, rows[k]) ** 2 / 12.0)
     return kept
 
 

@@ -140,12 +140,12 @@ def test_single_points_have_no_normals() -> None:
 
 def test_the_share_of_single_points_is_the_less_the_farther_the_beams_are_apart() -> None:
     """Objects are met by beams in pairs: the pairs are metres apart, so that no line is fitted."""
-    gaps = np.array([0.001, 2 * FINE_SIGMA, 1.0])
+    gaps = np.array([0.001, np.sqrt(12.0) * FINE_SIGMA, 1.0])
     firsts = np.column_stack([3.0 * np.arange(3), np.zeros(3)])
     pairs = np.stack([firsts, firsts + np.column_stack([np.zeros(3), gaps])], axis=1).reshape(-1, 2)
     kept = surface_points(pairs, NO_SEGMENTS, 0.0)
     assert not kept[:, 2:4].any()
-    np.testing.assert_allclose(kept[::2, 4], [1.0, 0.5, 0.0], atol=5e-3)
+    np.testing.assert_allclose(kept[::2, 4], [1.0, 0.5, 0.0], atol=0.02)
     np.testing.assert_array_equal(kept[::2, 4], kept[1::2, 4])
 
 
