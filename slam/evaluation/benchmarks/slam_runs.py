@@ -213,7 +213,7 @@ def result_table(results: Sequence[RunFigures]) -> Iterator[str]:
     for row in results:
         yield (
             f"{row.name:<12} {row.scored_by:<10} {row.scans:6d} {row.duration:7.0f} {row.travelled:7.0f} "
-            f"{row.error:8.4f} {row.median:7.4f} {row.rotation:13.3f} {row.scan_ms:10.3f} {row.by_reference:13.1f} "
+            f"{row.error:8.4f} {row.median:7.4f} {row.rotation:13.3f} {row.scan_ms:10.3f} {row.by_reference:13.2f} "
             f"{row.memory:11.0f} {row.walls:6d} {row.corners:8d} {row.keyframes:10d} {row.closures:9d}"
         )
 
