@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..errors import MapError
+from ..graph.chi_square import chi_square_quantile
 
 Floats = NDArray[np.float64]
 
@@ -101,12 +101,3 @@ def run_consistency(runs: Sequence[Floats], dimensions: int, probability: float 
     """Return the consistency of NEES values (n,) of several runs, each counted as one sample; NaN is skipped."""
     means = [float(np.nanmean(values)) for values in runs if np.isfinite(values).any()]
     return consistency(np.array(means), dimensions, probability)
-
-
-def chi_square_quantile(probability: float, degrees: int) -> float:
-    """Return a quantile of the chi-square distribution by Wilson and Hilferty (1931): its cube root is nearly normal.
-
-    Between 1 and 99 %, exact to 1 % from 10 degrees of freedom on, to 0.1 % from 30; NEES means have hundreds.
-    """
-    spread = 2 / (9 * degrees)
-    return float(degrees * max(1 - spread + NormalDist().inv_cdf(probability) * spread**0.5, 0.0) ** 3)

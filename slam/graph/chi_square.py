@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from statistics import NormalDist
 
 import numpy as np
 
@@ -26,3 +27,12 @@ def chi_square_tail(dof: int, squared: Floats) -> Floats:
         tail = tail + half**order * density / math.gamma(order + 1.0)
         order += 1.0
     return tail
+
+
+def chi_square_quantile(probability: float, degrees: int) -> float:
+    """Return a quantile of the chi-square distribution by Wilson and Hilferty (1931): its cube root is nearly normal.
+
+    Between 1 and 99 %, exact to 1 % from 10 degrees of freedom on, to 0.1 % from 30; NEES means have hundreds.
+    """
+    spread = 2 / (9 * degrees)
+    return float(degrees * max(1 - spread + NormalDist().inv_cdf(probability) * spread**0.5, 0.0) ** 3)

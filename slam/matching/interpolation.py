@@ -33,15 +33,15 @@ def add_points(pose, points, field, sigma, information, excess, gradient, memory
     Each point measures the offset from the nearest point of the field along its normal, or along both axes if it has
     none. The offset is zero with standard deviation `sigma` (metres) and a Cauchy kernel of the same scale. Points in
     unseen cells are left out: what is seen for the first time, such as the continuation of a wall, is near known points
-    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes. The part of the information
-    beyond the shares of the points that are independent (see `surface_points`) is the `excess` (3, 3). For `memory` see
-    `memory_for`.
+    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes. The `excess` (3, 3) is the
+    part of the information that is not independent: what exceeds the shares of the points (see `surface_points`). For
+    `memory` see `memory_for`.
     """
     rows, vectors, _, _ = memory
     found = _interpolate(pose, points, field, memory)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    beyond = sums
+    excess_sums = sums
     for m in range(found):
         point, dx, dy = points[rows[m]], vectors[m, 0], vectors[m, 1]
         normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
@@ -52,11 +52,11 @@ def add_points(pose, points, field, sigma, information, excess, gradient, memory
             sums = _add_row(sums, point, 1.0, 0.0, c, s, weight, dx)
             sums = _add_row(sums, point, 0.0, 1.0, c, s, weight, dy)
             if point[4] < 1.0:
-                beyond = _add_row(beyond, point, 1.0, 0.0, c, s, weight * (1.0 - point[4]), dx)
-                beyond = _add_row(beyond, point, 0.0, 1.0, c, s, weight * (1.0 - point[4]), dy)
+                excess_sums = _add_row(excess_sums, point, 1.0, 0.0, c, s, weight * (1.0 - point[4]), dx)
+                excess_sums = _add_row(excess_sums, point, 0.0, 1.0, c, s, weight * (1.0 - point[4]), dy)
     gradient[0], gradient[1], gradient[2] = sums[:3]
     _set_symmetric(information, sums)
-    _set_symmetric(excess, beyond)
+    _set_symmetric(excess, excess_sums)
 
 
 @inlined

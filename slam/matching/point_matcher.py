@@ -222,7 +222,8 @@ def point_cost(field: DistanceField, points: Floats, pose: se2.Pose) -> tuple[fl
 def point_information(points: Floats) -> Floats:
     """Return the information (3, 3) of a pose from points (p, 5) with normals in its frame, if each of them is matched.
 
-    The noise of a point is FINE_SIGMA along its normal. Without one it measures both directions, with its share.
+    The noise of a point is FINE_SIGMA along its normal. A point without a normal measures both directions, and counts
+    with its share.
     """
     return np.asarray(_sum_of_squares(points) / FINE_SIGMA**2)
 

@@ -76,7 +76,7 @@ def subsample(points: Floats, max_count: int) -> Floats:
 
 
 def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats:
-    """Return (q, 5) the points to be matched, in the base's frame: x, y, the normal [x, y] of the surface, share.
+    """Return (q, 5) the points to be matched, in the base's frame: x, y, normal [x, y] of the surface, share.
 
     points    (p, 2) returns of one scan in the base's frame, in the order of the beams, counter-clockwise
     segments  of the same scan
@@ -88,11 +88,11 @@ def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats
     or zero where these are on no line, as at corners and on clutter. Normals have length 1 and point to the lidar: to
     the left of the direction in which the beams move along the surface, wherever the lidar is mounted.
 
-    The share of a point is that of its information which is independent of other points: 1, except for a point whose
-    surface is not known as the neighbours are too few. Its surface is known at the ends of the beams only: up to half
-    of the gap g between two of them, the point is compared with another piece of it. Beams far apart slide along
-    surfaces as the robot moves, all alike. The variance of an error that is even up to g / 2, g^2 / 12, is added to
-    that of the point, s^2: the share is s^2 / (s^2 + g^2 / 12).
+    The share is the part of a point's information that is independent of other points. It is 1, except where a point
+    has too few neighbours to fit a line. The surface is known only where beams end, so such a point is compared with
+    another piece of its surface, up to half of the gap g between two beams away. As the robot moves, the ends of beams
+    slide along smooth surfaces, all in one direction, so that these errors do not average out. An error that is uniform
+    up to g / 2 has the variance g^2 / 12. With that of the point itself, s^2, the share is s^2 / (s^2 + g^2 / 12).
     """
     points = np.ascontiguousarray(points)  # subsampled ones would be compiled for separately
     return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing))
@@ -126,7 +126,7 @@ def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-u
 
 @compiled
 def _gap_beside(points, k):  # type: ignore[no-untyped-def]
-    """Return the distance of point k of (p, 2) from the nearer one of the ends of the beams beside it, metres."""
+    """Return the distance (metres) from point k of (p, 2) to the nearer one of its two neighbours in order of beams."""
     gap = math.inf
     for j in (k - 1, k + 1):
         if 0 <= j < len(points):

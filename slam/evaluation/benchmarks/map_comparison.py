@@ -15,12 +15,13 @@ from drivers import se2
 
 from ...events import Finished
 from ...geometry.segments import Floats, Integers
+from ...graph.chi_square import chi_square_quantile
 from ...io.tum import Trajectory
 from ...mapping.map_features import MapWalls
 from ...mapping.mapper import Mapper
 from ...offline.wall_alignment import MIN_COMMON, align_maps, numerical_jacobian, shared_points, wall_differences
 from ...pipeline import Slam
-from ..nees import GROSS, chi_square_quantile
+from ..nees import GROSS
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from .slam_runs import QUICK_WORLDS, RunSpec, run_once, run_timed
 CHECKED_SCANS = 100
 """Per noise level."""
 SEEDS = (0, 1, 2)
-REPEATS, MAX_REPEATS = 4, 16  # other work on the machine hides the fastest times, the more of it the longer
+REPEATS, MAX_REPEATS = 4, 16
 """Of a timed run. All are identical, so the fastest time of each message, and of each timing of the reference, counts:
 other programs slow down single ones, not the same ones every time. A run that exceeds its limit is repeated more often:
 load only adds time, and a slower program remains slow."""

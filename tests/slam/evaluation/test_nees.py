@@ -4,7 +4,6 @@ import pytest
 from drivers import se2
 from slam.errors import MapError
 from slam.evaluation.nees import (
-    chi_square_quantile,
     consistency,
     line_nees,
     nees,
@@ -68,14 +67,6 @@ def test_the_band_of_runs_holds_for_correlated_values_within_runs() -> None:
 def test_the_standard_error_is_that_of_the_mean() -> None:
     assert consistency(np.array([1.0, 3.0]), 3).standard_error == pytest.approx(1.0)
     assert np.isnan(consistency(np.array([1.0]), 3).standard_error)
-
-
-@pytest.mark.parametrize(("degrees", "tolerance"), [(10, 0.01), (30, 0.001), (300, 0.0001)])
-@pytest.mark.parametrize("probability", [0.025, 0.5, 0.975])
-def test_quantiles_agree_with_scipy(degrees: int, tolerance: float, probability: float) -> None:
-    from scipy.stats import chi2  # comes with evo
-
-    assert chi_square_quantile(probability, degrees) == pytest.approx(chi2.ppf(probability, degrees), rel=tolerance)
 
 
 def test_singular_covariances_and_empty_sets_raise_an_error() -> None:

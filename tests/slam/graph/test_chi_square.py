@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 from scipy.special import chdtrc
+from scipy.stats import chi2
 
-from slam.graph.chi_square import chi_square_tail
+from slam.graph.chi_square import chi_square_quantile, chi_square_tail
 
 
 @pytest.mark.parametrize("dof", range(1, 8))
@@ -14,3 +15,9 @@ def test_the_tail_is_that_of_the_distribution(dof: int) -> None:
 @pytest.mark.parametrize("dof", [1, 2, 3])
 def test_nothing_is_larger_than_infinity(dof: int) -> None:
     np.testing.assert_allclose(chi_square_tail(dof, np.array([1e6, np.inf])), 0.0, atol=1e-300)
+
+
+@pytest.mark.parametrize(("degrees", "tolerance"), [(10, 0.01), (30, 0.001), (300, 0.0001)])
+@pytest.mark.parametrize("probability", [0.025, 0.5, 0.975])
+def test_quantiles_agree_with_scipy(degrees: int, tolerance: float, probability: float) -> None:
+    assert chi_square_quantile(probability, degrees) == pytest.approx(chi2.ppf(probability, degrees), rel=tolerance)

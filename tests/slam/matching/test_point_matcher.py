@@ -18,7 +18,9 @@ from slam.matching.point_matcher import (
     Prediction,
     match_points,
     point_cost,
+    point_information,
 )
+from slam.matching.scan_points import FINE_SIGMA
 
 from ..outlines import noisy_field, outline, scan_points
 
@@ -182,6 +184,18 @@ def test_points_in_unseen_space_are_no_evidence(heading: float) -> None:
     np.testing.assert_allclose(found.information, plain.information, rtol=1e-6, atol=1e-3)
     assert (found.known, found.fit) == (plain.known, pytest.approx(plain.fit))
     assert found.cost == pytest.approx(plain.cost + len(beyond) * UNSEEN / POINTS_PER_OBJECT)
+
+
+def test_shares_reduce_the_information_and_leave_the_pose() -> None:
+    points = scan_points(ROOM, INSIDE)
+    points[:, 2:4] = 0.0  # of surfaces that are not known
+    prediction = Prediction(se2.compose(INSIDE, [0.05, -0.05, 0.02]), information(0.2, 5.0))
+    whole = match_points(ROOM_FIELD, points, [prediction])[0]
+    points[:, 4] = 0.25
+    part = match_points(ROOM_FIELD, points, [prediction])[0]
+    np.testing.assert_array_equal(part.pose, whole.pose)
+    np.testing.assert_allclose(part.information, 0.25 * whole.information, rtol=1e-9, atol=1e-6)
+    assert point_information(points)[0, 0] == pytest.approx(0.25 * len(points) / FINE_SIGMA**2)
 
 
 @pytest.mark.parametrize("empty", ["field", "scan"])
