@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,16 @@ class Features:
     lines: Lines
     corners: Corners
     noise: Noise
+
+    def without_chords(self) -> Features:
+        """Return the features without chords of curved surfaces, and without the corners of these."""
+        straight = ~self.lines.curved
+        if straight.all():
+            return self
+        lines = Lines(*(getattr(self.lines, field.name)[straight] for field in fields(Lines)))
+        kept, rows = straight[self.corners.lines].all(axis=1), np.cumsum(straight) - 1
+        corners = Corners(self.corners.position[kept], self.corners.covariance[kept], rows[self.corners.lines[kept]])
+        return replace(self, lines=lines, corners=corners)
 
     def _repr_svg_(self) -> str:
         """Return a drawing, for notebooks."""

@@ -79,7 +79,7 @@ def _point_motion(
     The sweep of the earlier scan is taken to be like that of this one.
     """
     limited = partial(state.odometry_model.limit_information, travel=scan.travel)
-    of_start = point_information(state.local_field.points(keyframe))
+    of_start = point_information(state.local_field.points(keyframe), unbiased=True)
     covariance, start_covariance = (_covariance_of(limited(INDEPENDENT_SHARE * one)) for one in (information, of_start))
     return PointMotion(keyframe, relative, covariance, start_covariance)
 

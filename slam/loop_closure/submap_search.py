@@ -99,12 +99,12 @@ def _moved(poses: Floats, scans: Sequence[NDArray[np.floating]]) -> Floats:
     """Return the points (p, 5) with normals of scans in the frames of their poses (k, 3), as one array (n, 5)."""
     lengths, points = [len(scan) for scan in scans], np.concatenate(scans, dtype=np.float64)
     c, s = (np.repeat([f(heading) for heading in poses[:, 2].tolist()], lengths) for f in (math.cos, math.sin))
-    x, y, normal_x, normal_y, share = points.T
+    x, y, normal_x, normal_y, excess = points.T
     result = np.empty_like(points)
     result[:, 0] = np.repeat(poses[:, 0], lengths) + c * x - s * y
     result[:, 1] = np.repeat(poses[:, 1], lengths) + s * x + c * y
     result[:, 2], result[:, 3] = c * normal_x - s * normal_y, s * normal_x + c * normal_y
-    result[:, 4] = share
+    result[:, 4] = excess
     return result
 
 

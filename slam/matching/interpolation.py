@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.compiled import compiled, inlined
 
+from ..geometry.small_matrices import without_negative_part
 from .distance_field import facing_grid
 from .free_space import SEEN_CELLS, is_seen
 from .offset_tiles import FIELD_CELL, NO_OFFSET, metres, offset_at
@@ -27,21 +28,19 @@ def memory_for(count):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def add_points(pose, points, field, sigma, information, excess, gradient, memory):  # type: ignore[no-untyped-def]
+def add_points(pose, points, field, sigma, information, gradient, memory):  # type: ignore[no-untyped-def]
     """Set the normal equations of points (p, 5) with normals, in the base's frame, with the base at `pose`.
 
     Each point measures the offset from the nearest point of the field along its normal, or along both axes if it has
     none. The offset is zero with standard deviation `sigma` (metres) and a Cauchy kernel of the same scale. Points in
     unseen cells are left out: what is seen for the first time, such as the continuation of a wall, is near known points
-    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes. The `excess` (3, 3) is the
-    part of the information that is not independent: what exceeds the shares of the points (see `surface_points`). For
-    `memory` see `memory_for`.
+    without being at them. Information (3, 3) and gradient (3,) refer to the base's axes. For `memory` see `memory_for`.
+    Returns the number of points that are not left out.
     """
     rows, vectors, _, _ = memory
     found = _interpolate(pose, points, field, memory)
     c, s = math.cos(pose[2]), math.sin(pose[2])
     sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    excess_sums = sums
     for m in range(found):
         point, dx, dy = points[rows[m]], vectors[m, 0], vectors[m, 1]
         normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
@@ -51,12 +50,35 @@ def add_points(pose, points, field, sigma, information, excess, gradient, memory
         else:
             sums = _add_row(sums, point, 1.0, 0.0, c, s, weight, dx)
             sums = _add_row(sums, point, 0.0, 1.0, c, s, weight, dy)
-            if point[4] < 1.0:
-                excess_sums = _add_row(excess_sums, point, 1.0, 0.0, c, s, weight * (1.0 - point[4]), dx)
-                excess_sums = _add_row(excess_sums, point, 0.0, 1.0, c, s, weight * (1.0 - point[4]), dy)
     gradient[0], gradient[1], gradient[2] = sums[:3]
     _set_symmetric(information, sums)
-    _set_symmetric(excess, excess_sums)
+    return found
+
+
+@compiled
+def unbiased_information(pose, points, found, sigma, information, memory):  # type: ignore[no-untyped-def]
+    """Return the `information` (3, 3) of points without their excess (see `surface_points`).
+
+    The other arguments are those of `add_points` before, and `found` is what it returned. The excess is a mean, so that
+    the difference may be negative in directions of which the points show nothing: there, zero is returned.
+    """
+    rows, vectors, _, _ = memory
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for m in range(found):
+        point, dx, dy = points[rows[m]], vectors[m, 0], vectors[m, 1]
+        if point[4] == 0.0:
+            continue
+        normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
+        weight = point[4] / (sigma * sigma + dx * dx + dy * dy)
+        if normal_x != 0.0 or normal_y != 0.0:
+            sums = _add_row(sums, point, -normal_y, normal_x, c, s, weight, 0.0)
+        else:
+            sums = _add_row(sums, point, 1.0, 0.0, c, s, weight, 0.0)
+            sums = _add_row(sums, point, 0.0, 1.0, c, s, weight, 0.0)
+    excess = np.empty((3, 3))
+    _set_symmetric(excess, sums)
+    return without_negative_part(information - excess)
 
 
 @inlined

@@ -20,7 +20,7 @@ from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import product, solution
 from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField
-from .interpolation import add_points, memory_for
+from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE
 from .scan_points import FINE_SIGMA, ScanPoints, segments_of
@@ -124,7 +124,7 @@ def _register(  # type: ignore[no-untyped-def]
     map_walls, known_corners = WallArrays(*walls), CornerArrays(*map_corners)
     all_points, segment_of = points
     information, point_information = np.zeros((3, 3)), np.zeros((3, 3))
-    gradient, point_gradient, excess = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    gradient, point_gradient, found = np.zeros(3), np.zeros(3), 0
     pose, point_pose, overlaps = start.copy(), start.copy(), np.zeros(len(scan_segments.frame))
     kept, memory, total = np.empty_like(all_points), memory_for(len(all_points)), np.empty((3, 3))
     for step in range(len(MATCH_OFFSET_GATES)):
@@ -133,7 +133,7 @@ def _register(  # type: ignore[no-untyped-def]
         add_walls(pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient)
         add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
         others = kept[: _keep_unmatched(all_points, segment_of, overlaps, kept)]
-        add_points(pose, others, field, FINE_SIGMA, point_information, excess, point_gradient, memory)
+        found = add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient, memory)
         pull = product(prior, difference(prediction, pose))
         for k in range(3):
             point_pose[k] = pose[k]
@@ -141,11 +141,12 @@ def _register(  # type: ignore[no-untyped-def]
             for m in range(3):
                 total[k, m] = information[k, m] + point_information[k, m] + prior[k, m]
         move_back(pose, solution(total, gradient))
+    unbiased = unbiased_information(point_pose, kept, found, FINE_SIGMA, point_information, memory)
     # From where it is linearised, and without the prior: odometry has a factor of its own in the graph.
     move_back(point_pose, solution(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
     wrap_heading(pose)
     wrap_heading(point_pose)
-    return pose, information, point_information - excess, point_pose, overlaps.sum()
+    return pose, information, unbiased, point_pose, overlaps.sum()
 
 
 @inlined

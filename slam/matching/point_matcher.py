@@ -22,14 +22,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import wrap_angle
 from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse, log_determinant, product, quadratic_form, solution
+from ..geometry.small_matrices import (
+    inverse,
+    log_determinant,
+    product,
+    quadratic_form,
+    solution,
+    without_negative_part,
+)
 from .distance_field import DistanceField
-from .interpolation import add_points, memory_for
+from .interpolation import add_points, memory_for, unbiased_information
 from .offset_tiles import FIELD_CELL
 from .point_costs import COARSE_SIGMA, crossing_beams, points_cost, search_grid
 from .scan_points import FINE_SIGMA, subsample
@@ -219,46 +226,49 @@ def point_cost(field: DistanceField, points: Floats, pose: se2.Pose) -> tuple[fl
     return float(cost), float(fit), int(known)
 
 
-def point_information(points: Floats) -> Floats:
+def point_information(points: Floats, *, unbiased: bool = False) -> Floats:
     """Return the information (3, 3) of a pose from points (p, 5) with normals in its frame, if each of them is matched.
 
-    The noise of a point is FINE_SIGMA along its normal. A point without a normal measures both directions, and counts
-    with its share.
+    The noise of a point is FINE_SIGMA along its normal. A point without a normal measures both directions, without its
+    excess (see `surface_points`). The excess of points with a normal is subtracted if the information has to be true,
+    `unbiased`, and not only comparable.
     """
-    return np.asarray(_sum_of_squares(points) / FINE_SIGMA**2)
+    total, excess = _sums_of_squares(points)
+    return np.asarray((without_negative_part(total - excess) if unbiased else total) / FINE_SIGMA**2)
 
 
 @compiled
-def _sum_of_squares(points):  # type: ignore[no-untyped-def]
-    """Return J' J (3, 3) with the derivatives J of the offsets of points along their normals by the pose."""
-    total = np.zeros((3, 3))
+def _sums_of_squares(points):  # type: ignore[no-untyped-def]
+    """Return J' J (3, 3) with the derivatives J of the offsets of points by the pose, and the excess along surfaces."""
+    total, excess = np.zeros((3, 3)), np.zeros((3, 3))
     for k in range(len(points)):
-        x, y, normal_x, normal_y, share = points[k]
-        turn = x * normal_y - y * normal_x
-        if normal_x == 0.0 and normal_y == 0.0:  # along both axes: (1, 0, -y) and (0, 1, x)
-            total[0, 0] += share
-            total[1, 1] += share
-            total[0, 2], total[1, 2] = total[0, 2] - share * y, total[1, 2] + share * x
-            total[2, 2] += share * (x * x + y * y)
+        x, y, normal_x, normal_y, of_excess = points[k]
+        if normal_x == 0.0 and normal_y == 0.0:
+            _add_square(total, x, y, 1.0, 0.0, 1.0 - of_excess)
+            _add_square(total, x, y, 0.0, 1.0, 1.0 - of_excess)
         else:
-            total[0, 0] += normal_x * normal_x
-            total[1, 1] += normal_y * normal_y
-            total[0, 1] += normal_x * normal_y
-            total[0, 2] += normal_x * turn
-            total[1, 2] += normal_y * turn
-            total[2, 2] += turn * turn
-    total[1, 0], total[2, 0], total[2, 1] = total[0, 1], total[0, 2], total[1, 2]
-    return total
+            _add_square(total, x, y, normal_x, normal_y, 1.0)
+            _add_square(excess, x, y, -normal_y, normal_x, of_excess)
+    return total, excess
+
+
+@inlined
+def _add_square(total, x, y, unit_x, unit_y, weight):  # type: ignore[no-untyped-def]
+    """Add w j j' with the derivative j of the offset of the point (x, y) along a unit vector."""
+    row = (unit_x, unit_y, x * unit_y - y * unit_x)
+    for k in range(3):
+        for m in range(3):
+            total[k, m] += weight * row[k] * row[m]
 
 
 @compiled
 def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # type: ignore[no-untyped-def]
     pose, memory = start.copy(), memory_for(len(points))
-    information, excess, gradient = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3)
+    information, gradient, found = np.zeros((3, 3)), np.zeros(3), 0
     robust, total = np.empty((3, 3)), np.empty((3, 3))
     for sigma in sigmas:
         for _ in range(MAX_STEPS):
-            add_points(pose, points, field, sigma, information, excess, gradient, memory)
+            found = add_points(pose, points, field, sigma, information, gradient, memory)
             error = difference(prediction, pose)
             scale = 1.0 + quadratic_form(prior, error[0], error[1], error[2]) / kernel**2
             for k in range(3):
@@ -273,7 +283,7 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
                 break
     cost, fit, known = points_cost(field, points, pose)
     wrap_heading(pose)
-    return pose, information - excess, cost, fit, known
+    return pose, unbiased_information(pose, points, found, sigmas[-1], information, memory), cost, fit, known
 
 
 @compiled

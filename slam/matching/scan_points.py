@@ -36,9 +36,14 @@ NORMAL_NEIGHBOURS = 4
 NORMAL_RADIUS = 0.5  # Origin: as NORMAL_NEIGHBOURS.
 # Points that a line needs. Origin: chosen, two more than determine it.
 MIN_NORMAL_POINTS = 4
-# Largest variance of the points across a line, as a share of that along it. Origin: chosen, a seventh in standard
-# deviations; not measured.
+# Largest variance of the points across a line, as a share of that along it; and largest variance of the direction of a
+# line through noisy points, radians squared. Origin: chosen, a seventh in standard deviations; not measured.
 MAX_FLATNESS = 0.02
+# Largest variance of the points across a line, relative to that across the walls of the scan. Origin: chi-square, the
+# mean square of 2 to 7 normal deviates is below it in 86 to 96 %.
+MAX_SCATTER = 2.0
+# Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
+NORMAL_MEDIAN = 0.4549
 
 
 class ScanPoints:
@@ -76,7 +81,7 @@ def subsample(points: Floats, max_count: int) -> Floats:
 
 
 def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats:
-    """Return (q, 5) the points to be matched, in the base's frame: x, y, normal [x, y] of the surface, share.
+    """Return (q, 5) the points to be matched, in the base's frame: x, y, normal [x, y] of the surface, excess.
 
     points    (p, 2) returns of one scan in the base's frame, in the order of the beams, counter-clockwise
     segments  of the same scan
@@ -85,14 +90,22 @@ def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats
 
     A point on the line of a segment, as far beyond its ends as the segment is long, has the segment's normal: the last
     returns from a corridor's walls move with the robot. Another point has the normal of a line through its neighbours,
-    or zero where these are on no line, as at corners and on clutter. Normals have length 1 and point to the lidar: to
-    the left of the direction in which the beams move along the surface, wherever the lidar is mounted.
+    or zero where these are on no line, as at corners and on clutter. They are on a line if they scatter little across
+    it compared with along it, or no more than points do across the segments of the scan. Normals have length 1 and
+    point to the lidar: to the left of the direction in which the beams move along the surface, wherever the lidar is
+    mounted.
 
-    The share is the part of a point's information that is independent of other points. It is 1, except where a point
-    has too few neighbours to fit a line. The surface is known only where beams end, so such a point is compared with
-    another piece of its surface, up to half of the gap g between two beams away. As the robot moves, the ends of beams
-    slide along smooth surfaces, all in one direction, so that these errors do not average out. An error that is uniform
-    up to g / 2 has the variance g^2 / 12. With that of the point itself, s^2, the share is s^2 / (s^2 + g^2 / 12).
+    The excess is information that a point seems to have, and has not, relative to that of a point along its normal.
+    It is zero on segments, and where there are enough neighbours that are on no line. Else:
+
+    - With a normal, it is along the surface. An error of the normal's direction by a small angle e seems to measure the
+      position along the surface with e^2 of the information. The mean of e^2 is the variance of the direction of the
+      line through n points, their variance across it divided by n - 2 times that along it.
+    - With too few neighbours to fit a line, it is in both directions. The surface is known only where beams end, so
+      such a point is compared with another piece of its surface, up to half of the gap g between two beams away. As the
+      robot moves, the ends of beams slide along smooth surfaces, all in one direction, so that these errors do not
+      average out. An error that is uniform up to g / 2 has the variance g^2 / 12. With that of the point itself, s^2,
+      the information is s^2 / (s^2 + g^2 / 12) of that of the point, and the rest is excess.
     """
     points = np.ascontiguousarray(points)  # subsampled ones would be compiled for separately
     return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing))
@@ -111,16 +124,24 @@ def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-u
             dx, dy = points[k, 0] - kept[count - 1, 0], points[k, 1] - kept[count - 1, 1]
             if dx * dx + dy * dy < spacing * spacing:
                 continue
-        kept[count, 0], kept[count, 1], kept[count, 4], rows[count] = points[k, 0], points[k, 1], 1.0, k
+        kept[count, 0], kept[count, 1], rows[count] = points[k, 0], points[k, 1], k
         count += 1
-    kept = kept[:count]
-    axes = axes_of(frames)
+    kept, across = kept[:count], np.empty(count)
+    axes, lines, found = axes_of(frames), np.empty(count, np.int64), 0
     for k in range(count):
-        line = _nearest_line(kept[k, 0], kept[k, 1], frames, axes, half_lengths, CONTINUATION)
+        x, y = kept[k, 0], kept[k, 1]
+        lines[k] = line = _nearest_line(x, y, frames, axes, half_lengths, CONTINUATION)
         if line >= 0:
             kept[k, 2], kept[k, 3] = -axes[line, 1], axes[line, 0]
-        elif not _set_normal(kept, k):
-            kept[k, 4] = FINE_SIGMA**2 / (FINE_SIGMA**2 + _gap_beside(points, rows[k]) ** 2 / 12.0)
+            dx, dy = x - frames[line, 0], y - frames[line, 1]
+            if abs(axes[line, 0] * dx + axes[line, 1] * dy) < half_lengths[line]:
+                across[found] = (axes[line, 0] * dy - axes[line, 1] * dx) ** 2
+                found += 1
+    noise = np.median(across[:found]) / NORMAL_MEDIAN if found else 0.0
+    for k in range(count):
+        if lines[k] < 0 and not _set_normal(kept, k, noise):
+            gap = _gap_beside(points, rows[k])
+            kept[k, 4] = gap * gap / (gap * gap + 12.0 * FINE_SIGMA**2)
     return kept
 
 
@@ -155,11 +176,11 @@ def _nearest_line(x, y, frames, axes, half_lengths, reach):  # type: ignore[no-u
 
 
 @compiled
-def _set_normal(points, k):  # type: ignore[no-untyped-def]
-    """Set the normal of point k of (q, 5) from its neighbours within NORMAL_RADIUS, if they are on a line.
+def _set_normal(points, k, noise):  # type: ignore[no-untyped-def]
+    """Set normal and excess of point k of (q, 5) from its neighbours within NORMAL_RADIUS, if they are on a line.
 
     The line has the direction of the larger eigenvector of the neighbours' covariance. Returns False if there are not
-    enough of them to tell.
+    enough of them to tell. `noise` is the variance of points across the segments of the scan.
     """
     n, x, y, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     beams_x, beams_y = 0.0, 0.0  # direction in which the ends of successive beams move along the surface
@@ -173,10 +194,12 @@ def _set_normal(points, k):  # type: ignore[no-untyped-def]
         return False
     xx, xy, yy = xx / n - (x / n) ** 2, xy / n - x * y / n**2, yy / n - (y / n) ** 2
     half_difference, middle = math.hypot(0.5 * (xx - yy), xy), 0.5 * (xx + yy)
-    if middle - half_difference < MAX_FLATNESS * (middle + half_difference):
+    least, most = middle - half_difference, middle + half_difference
+    flat, noisy = least < MAX_FLATNESS * most, least < min(MAX_SCATTER * noise, (n - 2) * MAX_FLATNESS * most)
+    if flat or noisy:
         along = 0.5 * math.atan2(2 * xy, xx - yy)
         c, s = math.cos(along), math.sin(along)
         if c * beams_x + s * beams_y < 0.0:
             c, s = -c, -s
-        points[k, 2], points[k, 3] = -s, c
+        points[k, 2], points[k, 3], points[k, 4] = -s, c, least / ((n - 2) * most)
     return True

@@ -71,7 +71,8 @@ class LidarFeatures:
         deskewed = deskew(scan, odometry, mount, self._lidar.range_bias, model)
         if not self._noise_settled:
             self._noise_settled = self._extractor.settle_noise(deskewed.ranges, deskewed.bearings)
-        return ExtractedScan(deskewed, self._extractor.extract(deskewed.ranges, deskewed.bearings), mount)
+        features = self._extractor.extract(deskewed.ranges, deskewed.bearings)
+        return ExtractedScan(deskewed, features.without_chords(), mount)
 
 
 def _points(scan: DeskewedScan, mount: se2.Pose) -> ScanPoints:

@@ -309,3 +309,16 @@ def test_wrong_settings_are_refused(wrong: dict[str, object]) -> None:
 def test_unequal_lengths_are_refused() -> None:
     with pytest.raises(ValueError, match="10 ranges but 9 angles"):
         extract(np.ones(10), np.zeros(9))
+
+
+def test_chords_of_curved_surfaces_can_be_left_out() -> None:
+    """A straight wall that closes a round room stays; so do the corners between straight walls."""
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    ranges = np.minimum(3.0, 2.0 / np.maximum(np.cos(angles), 0.01)) + 0.004 * np.random.default_rng(1).normal(size=720)
+    features = Extractor(Noise(0.004, 0.0005)).extract(ranges, angles)
+    straight = features.without_chords()
+    assert features.lines.curved.sum() > 4
+    assert len(straight.lines) == len(features.lines) - features.lines.curved.sum()
+    assert not straight.lines.curved.any()
+    assert np.abs(straight.lines.start[:, 0] - 2.0).min() < 0.02
+    assert straight.corners.lines.size == 0 or straight.corners.lines.max() < len(straight.lines)

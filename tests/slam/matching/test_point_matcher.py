@@ -20,7 +20,7 @@ from slam.matching.point_matcher import (
     point_cost,
     point_information,
 )
-from slam.matching.scan_points import FINE_SIGMA
+from slam.matching.scan_points import FINE_SIGMA, surface_points
 
 from ..outlines import noisy_field, outline, scan_points
 
@@ -178,7 +178,7 @@ def test_points_in_unseen_space_are_no_evidence(heading: float) -> None:
     beyond = np.column_stack([np.arange(7.0, 9.0, 0.06), random.uniform(-3.0, 6.0, 34)])
     points = scan_points(ROOM, truth)
     plain = match_points(ROOM_FIELD, points, [prediction])[0]
-    through = np.column_stack([se2.transform(se2.inverse(truth), beyond), np.zeros_like(beyond), np.ones(len(beyond))])
+    through = np.column_stack([se2.transform(se2.inverse(truth), beyond), np.zeros_like(beyond), np.zeros(len(beyond))])
     found = match_points(ROOM_FIELD, np.concatenate([points, through]), [prediction])[0]
     np.testing.assert_allclose(found.pose, plain.pose, atol=1e-9)
     np.testing.assert_allclose(found.information, plain.information, rtol=1e-6, atol=1e-3)
@@ -186,16 +186,41 @@ def test_points_in_unseen_space_are_no_evidence(heading: float) -> None:
     assert found.cost == pytest.approx(plain.cost + len(beyond) * UNSEEN / POINTS_PER_OBJECT)
 
 
-def test_shares_reduce_the_information_and_leave_the_pose() -> None:
+def test_excess_reduces_the_information_and_leaves_the_pose() -> None:
     points = scan_points(ROOM, INSIDE)
-    points[:, 2:4] = 0.0  # of surfaces that are not known
+    points[:, 2:] = 0.0  # of surfaces that are not known
     prediction = Prediction(se2.compose(INSIDE, [0.05, -0.05, 0.02]), information(0.2, 5.0))
     whole = match_points(ROOM_FIELD, points, [prediction])[0]
-    points[:, 4] = 0.25
+    points[:, 4] = 0.75
     part = match_points(ROOM_FIELD, points, [prediction])[0]
     np.testing.assert_array_equal(part.pose, whole.pose)
     np.testing.assert_allclose(part.information, 0.25 * whole.information, rtol=1e-9, atol=1e-6)
     assert point_information(points)[0, 0] == pytest.approx(0.25 * len(points) / FINE_SIGMA**2)
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.03])
+def test_a_round_room_does_not_show_the_turn(noise: float) -> None:
+    """The normals of a noisy circle point past its centre, as if the turn about it could be seen."""
+    angles, turns, positions = np.arange(0.0, 2.0 * np.pi, 0.01), [], []
+    wall = np.column_stack([np.arange(-1.0, 1.0, 0.05), np.full(40, 5.0)])
+    segment = Segments(np.array([[0.0, 5.0, np.pi]]), np.array([1.0]), np.zeros((1, 2, 2)))
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+
+        def scan(random: np.random.Generator = random) -> Floats:
+            circle = 4.0 + noise * random.normal(size=len(angles))
+            points = circle[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+            beside = wall + noise * np.array([0.0, 1.0]) * random.normal(size=(40, 1))
+            kept = surface_points(np.concatenate([points, beside]), segment, POINT_SPACING)
+            return kept[np.hypot(*kept[:, :2].T) < 4.5]
+
+        field = DistanceField.empty(np.zeros(2), 6.0)
+        field.insert(np.zeros(3), scan())
+        found = match_points(field, scan(), [Prediction(np.zeros(3), information(0.05, 2.0))])[0]
+        turns.append(found.information[2, 2])
+        positions.append(found.information[0, 0])
+    assert np.mean(turns) < 0.05**-2
+    assert np.mean(positions) > 0.01**-2
 
 
 @pytest.mark.parametrize("empty", ["field", "scan"])

@@ -138,21 +138,45 @@ def test_single_points_have_no_normals() -> None:
     np.testing.assert_array_equal(surface_points(alone, NO_SEGMENTS, SPACING)[:, 2:4], 0.0)
 
 
-def test_the_share_of_single_points_is_the_less_the_farther_the_beams_are_apart() -> None:
+def test_the_excess_of_single_points_is_the_more_the_farther_the_beams_are_apart() -> None:
     """Objects are met by beams in pairs: the pairs are metres apart, so that no line is fitted."""
     gaps = np.array([0.001, np.sqrt(12.0) * FINE_SIGMA, 1.0])
     firsts = np.column_stack([3.0 * np.arange(3), np.zeros(3)])
     pairs = np.stack([firsts, firsts + np.column_stack([np.zeros(3), gaps])], axis=1).reshape(-1, 2)
     kept = surface_points(pairs, NO_SEGMENTS, 0.0)
     assert not kept[:, 2:4].any()
-    np.testing.assert_allclose(kept[::2, 4], [1.0, 0.5, 0.0], atol=0.02)
+    np.testing.assert_allclose(kept[::2, 4], [0.0, 0.5, 1.0], atol=0.02)
     np.testing.assert_array_equal(kept[::2, 4], kept[1::2, 4])
 
 
-def test_points_of_known_surfaces_have_all_of_their_share() -> None:
+def test_points_of_exact_surfaces_have_no_excess() -> None:
     kept = surface_points(outline(ROOM), NO_SEGMENTS, SPACING)
-    np.testing.assert_array_equal(kept[:, 4], 1.0)
-    assert not kept[:, 2:4].any(axis=1).all()  # the corners are known to be on no line
+    straight = np.abs(kept[:, 2:4]).max(axis=1) > 0.999
+    assert np.mean(kept[straight, 4] < 1e-9) > 0.95  # the others have neighbours around a corner
+    assert kept[straight, 4].max() < 1e-3
+    corners = ~kept[:, 2:4].any(axis=1)  # where two surfaces meet, there are enough neighbours, but no line
+    assert corners.any()
+    np.testing.assert_array_equal(kept[corners, 4], 0.0)
+
+
+@pytest.mark.parametrize("noise", [0.003, 0.01, 0.03])
+def test_the_excess_of_a_noisy_surface_is_the_variance_of_its_normal(noise: float) -> None:
+    """One wall is a segment, and shows how much the points scatter; the other one is none."""
+    squares, excess, found = list[float](), list[float](), list[float]()
+    segment = Segments(np.array([[-2.0, 5.0, np.pi]]), np.array([2.0]), np.zeros((1, 2, 2)))
+    for seed in range(20):
+        random = np.random.default_rng(seed)
+        along = np.arange(-3.0, 3.0, 0.06)
+        wall = np.column_stack([4.0 + noise * random.normal(size=100), along])
+        known = np.column_stack([-along - 2.0, 5.0 + noise * random.normal(size=100)])
+        kept = surface_points(np.concatenate([wall, known]), segment, SPACING)
+        kept = kept[(kept[:, 0] > 3.0) & (np.abs(kept[:, 1]) < 2.5)]
+        normals = kept[:, 2:4].any(axis=1)
+        found.append(float(normals.mean()))
+        squares += (kept[normals, 3] ** 2).tolist()
+        excess += kept[normals, 4].tolist()
+    assert np.mean(found) > 0.9
+    assert np.mean(squares) == pytest.approx(np.mean(excess), rel=0.25)
 
 
 def test_points_are_rounded_to_the_unit_and_clipped() -> None:
