@@ -139,8 +139,7 @@ class RecordingReader(ABC):
 
         They are if no mount states whether the lidar is upside down, and odometry shows that it is.
         """
-        first = next((message for message in self._survey_messages() if isinstance(message, Scan)), None)
-        if first is None or first.mount is not None or self.odometry_turns is None:
+        if self._turns_as_recorded.mount is not None or self.odometry_turns is None:
             return None
         return self.odometry_turns.reason_to_mirror()
 

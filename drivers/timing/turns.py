@@ -74,6 +74,7 @@ class Turns:
     positions    (m, 2) of the base at these stamps, metres
     rates        (k, 2) stamps (seconds, increasing) and rates of a gyroscope as recorded
     scans        number of scans of the drive
+    mount        pose of the lidar on the robot that the first scan states; None if it states none
     scan_period  median seconds from scan to scan; 0 without two scans
     """
 
@@ -83,8 +84,10 @@ class Turns:
         rates: list[tuple[float, float]] = []
         part, end, last = _Part(), -np.inf, -np.inf
         stamps: list[float] = []
+        self.mount: se2.Pose | None = None
         for message in messages:
             if isinstance(message, Scan):
+                self.mount = self.mount if stamps else message.mount
                 stamps.append(message.stamp)
                 if message.stamp >= end:
                     self._keep(part, measured=bool(readings or rates))

@@ -45,6 +45,19 @@ def test_reading_ahead_changes_neither_messages_nor_report(
     assert source.report == report
 
 
+def test_what_is_known_ahead_and_the_first_iteration_take_one_reading(
+    source: Source, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if (reader := recording_of(source)) is None:
+        pytest.skip("a simulation is not read")
+    readings, read = [], type(reader)._read
+    monkeypatch.setattr(type(reader), "_read", lambda self: readings.append(self) or read(self))
+    reader.check_scans()
+    assert reader.has_odometry
+    assert list(source)
+    assert len(readings) == 1
+
+
 def test_two_iterations_can_run_at_the_same_time(source: Source) -> None:
     for one, other in zip(source, source, strict=True):
         assert one.stamp == other.stamp
