@@ -81,7 +81,7 @@ class IncrementalSolver:
         self._isam, self._dismissed, self.batch = _isam2(qr=self.qr), None, None
         self.factors, self.updates = {}, 0
         self._recent.forget()
-        self._present.outdate(removed=True)
+        self._present.forget()
 
     @property
     def isam(self) -> gtsam.ISAM2:
@@ -113,7 +113,7 @@ class IncrementalSolver:
         self._isam, self._dismissed, self.batch = None, None, solution
         self.factors, self.updates = dict(enumerate(factors)), 1
         self._recent.forget()
-        self._present.outdate(removed=True)
+        self._present.forget()
 
     def arrays(self) -> ArrayGraph:
         """Return all factors as arrays."""
@@ -193,7 +193,7 @@ class IncrementalSolver:
         parameters = gtsam.ISAM2UpdateParams()
         parameters.force_relinearize = relinearize
         parameters.removeFactorIndices = list(remove)
-        self._present.outdate(removed=bool(remove))
+        self._present.outdate()
         for number in remove:
             del self.factors[number]
             self._recent.forget()
@@ -326,3 +326,4 @@ class IncrementalSolver:
         if not all(np.isfinite(self.isam.marginalCovariance(key)).all() for key in new_keys):
             raise MapError(reason) from failure
         self.factors = {renumbered[number]: factor for number, factor in self.factors.items()}
+        self._present.forget()

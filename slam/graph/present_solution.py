@@ -13,6 +13,7 @@ from itertools import islice
 import gtsam
 import numpy as np
 
+from ..geometry.segments import Integers
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
 from .factors import Factor
@@ -22,27 +23,34 @@ class PresentSolution:
     """Arrays of the factors of a graph, and the batch solution of it since the last update."""
 
     def __init__(self) -> None:
-        self._arrays: ArrayGraph | None = None  # of the first factors; those added since follow
+        self._arrays: ArrayGraph | None = None  # of the factors when they were needed last
+        self._numbers: Integers = np.zeros(0, dtype=np.int64)  # of these factors, ascending
         self._solution: BatchSolution | None = None
 
     def copy(self) -> PresentSolution:
         """Return an independent copy."""
         other = PresentSolution()
-        other._arrays, other._solution = self._arrays, self._solution
+        other._arrays, other._numbers, other._solution = self._arrays, self._numbers, self._solution
         return other
 
-    def outdate(self, *, removed: bool) -> None:
-        """Forget the solution, as the graph is updated; if factors are removed, the arrays as well."""
+    def outdate(self) -> None:
+        """Forget the solution, as factors are added or removed."""
         self._solution = None
-        if removed:
-            self._arrays = None
+
+    def forget(self) -> None:
+        """Forget the arrays as well, as the factors are numbered again."""
+        self._solution = self._arrays = None
 
     def arrays(self, factors: dict[int, Factor], bias: float) -> ArrayGraph:
         """Return all factors as arrays, given those of the graph by ascending numbers, and the range bias (metres)."""
+        numbers = np.fromiter(factors, dtype=np.int64, count=len(factors))
         if self._arrays is None:
             self._arrays = ArrayGraph([*factors.values()], bias)
-        new = [*islice(factors.values(), len(self._arrays), None)]
-        self._arrays = self._arrays.with_factors(np.zeros(0, dtype=np.int64), new, bias)
+        else:
+            removed = np.flatnonzero(~np.isin(self._numbers, numbers, assume_unique=True))
+            new = [*islice(factors.values(), len(self._numbers) - len(removed), None)]
+            self._arrays = self._arrays.with_factors(removed, new, bias)
+        self._numbers = numbers
         return self._arrays.at_bias(bias)
 
     def solution(

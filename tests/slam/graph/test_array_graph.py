@@ -12,7 +12,7 @@ from slam.errors import MapError
 from slam.graph.array_graph import ArrayGraph
 from slam.graph.block_cholesky import Pattern, _ranks, factorise, inverse_blocks, solve
 from slam.graph.factor_graph import FactorGraph
-from slam.graph.factors import keys_of, to_gtsam_graph
+from slam.graph.factors import FactorKind, by_kind, keys_of, to_gtsam_graph
 from slam.graph.isam2 import IncrementalSolver
 
 BIAS = 0.02
@@ -103,6 +103,23 @@ def test_covariances_of_distant_variables_follow_the_updates_of_the_graph() -> N
     graph.update_until_converged()
     compare(graph.solver)
     compare(before)
+
+
+def test_arrays_follow_removed_and_added_factors_by_converting_only_the_new_ones(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    graph, converted = graph_of_all_kinds(np.random.default_rng(4)), []
+    first = graph.solver.arrays()
+    graph.remove_factors([min(number for number, one in graph.solver.factors.items() if one.kind is FactorKind.LOOP)])
+    graph.add_loop(0, 2, np.array([2.4, 0.6, -3.1]), np.array([0.01, 0.01, 0.01]))
+    graph.update()
+    monkeypatch.setattr("slam.graph.array_graph.by_kind", lambda given: converted.extend(given) or by_kind(given))
+    arrays = graph.solver.arrays()
+    assert len(converted) == 1
+    assert len(arrays) == len(first)
+    expected = ArrayGraph(graph.solver.sorted_factors(), 0.0)
+    values = expected.values_of(graph.solver.estimate())
+    np.testing.assert_array_equal(arrays.step(values, 0.0), expected.step(values, 0.0))
 
 
 @pytest.mark.parametrize("growth", [1.0, 2.0])
