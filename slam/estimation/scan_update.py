@@ -15,6 +15,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.degeneracy import weakest_direction
+from ..geometry.membership import is_among
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
@@ -155,7 +156,7 @@ def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None
     if state.kidnapped or state.at_part_begin or tracking.explained < MIN_EXPLAINED:
         return None
     near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
-    near = near[np.isin(near, state.local_field.inserted)]
+    near = near[is_among(near, state.local_field.inserted)]
     driven = np.sort([state.keyframe_driven[k] for k in near])
     before = driven[driven < state.driven - VISIT_GAP]  # without those of the current visit
     visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0

@@ -13,6 +13,7 @@ from itertools import islice
 import gtsam
 import numpy as np
 
+from ..geometry.membership import is_among
 from ..geometry.segments import Integers
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
@@ -47,7 +48,7 @@ class PresentSolution:
         if self._arrays is None:
             self._arrays = ArrayGraph([*factors.values()], bias)
         else:
-            removed = np.flatnonzero(~np.isin(self._numbers, numbers, assume_unique=True))
+            removed = np.flatnonzero(~is_among(self._numbers, numbers))
             new = [*islice(factors.values(), len(self._numbers) - len(removed), None)]
             self._arrays = self._arrays.with_factors(removed, new, bias)
         self._numbers = numbers

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
 
@@ -71,7 +72,7 @@ class FieldSuccessor:
 
     def add(self, keyframes: Integers) -> None:
         """Add keyframes whose points are to be inserted as well, unless they are already among them."""
-        self.keyframes = np.concatenate([self.keyframes, keyframes[~np.isin(keyframes, self.keyframes)]])
+        self.keyframes = np.concatenate([self.keyframes, keyframes[~is_among(keyframes, self.keyframes)]])
 
     def step(self, poses: Floats, points: Sequence[NDArray[np.float32]]) -> None:
         """Insert the next KEYFRAMES_PER_STEP keyframes, given the poses (n, 3) and the points of all keyframes."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.compiled import compiled
 
+from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import ScanFeatures
@@ -222,7 +223,7 @@ class LocalField:
         """Return the keyframes within REFERENCE_DISTANCE of one, along the drive, whose points are not in the field."""
         ways = self.ways(travelled)
         around = np.flatnonzero(np.abs(ways - ways[keyframe]) < REFERENCE_DISTANCE)
-        return around[~np.isin(around, self._inserted)]
+        return around[~is_among(around, self._inserted)]
 
     def update(self, keyframe: int, poses: Floats, travelled: Sequence[float]) -> None:
         """Insert new keyframes; if keyframes have been linked, also those that are near by the links.
@@ -253,7 +254,7 @@ class LocalField:
         if not self._linked:
             return np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
         near, self._linked = self._near(keyframe, travelled), False
-        return near[~np.isin(near, self._inserted)]
+        return near[~is_among(near, self._inserted)]
 
     def _build_successor(self, successor: FieldSuccessor, poses: Floats) -> None:
         """Insert the next keyframes into the successor, which takes the place of the field if it is complete then."""

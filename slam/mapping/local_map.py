@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
@@ -112,8 +113,9 @@ def local_map_around(
     if linked is not None:
         seen_by = np.sort(np.append(linked, len(pose_covariances) - 1))
         first, last = (walls[name][near_walls] for name in ("first_seen", "last_seen"))
-        near_walls = near_walls[np.searchsorted(seen_by, first) < np.searchsorted(seen_by, last, side="right")]
-        near_corners = near_corners[np.isin(corners["last_seen"][near_corners], seen_by)]
+        near_walls = near_walls[_has_any(seen_by, first, last)]
+        of_corners = corners["last_seen"][near_corners]
+        near_corners = near_corners[_has_any(seen_by, of_corners, of_corners)]
     last_seen = np.concatenate([walls["last_seen"][near_walls], corners["last_seen"][near_corners]])
     drifts = _drifts_since(last_seen, np.argsort(last_seen), pose_covariances)
     of_walls, of_corners = drifts[: len(near_walls)], drifts[len(near_walls) :, :2, :2]
@@ -126,6 +128,11 @@ def local_map_around(
         wall_covariance=local_map.wall_covariance + wall_drift[known_walls],
         corner_covariance=local_map.corner_covariance + of_corners[known_corners],
     )
+
+
+def _has_any(keyframes: Integers, first: Integers, last: Integers) -> NDArray[np.bool_]:
+    """Return (n,) True where any of some keyframes (k,), ascending, is from a `first` one (n,) up to a `last` one."""
+    return np.asarray(np.searchsorted(keyframes, first) < np.searchsorted(keyframes, last, side="right"))
 
 
 @compiled

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 
 from ..geometry.angles import axes_of, wrap_angle
+from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import FactorGraph
 from .keyframes import WallMerge
@@ -118,7 +119,7 @@ def find_observed_duplicate(
     """
     rows = landmarks.walls.rows[local_map.walls]
     mature = rows["in_graph"] & (rows["observations"] >= MIN_OBSERVATIONS_TO_MERGE)
-    observed = np.isin(local_map.walls, observed_walls)
+    observed = is_among(local_map.walls, observed_walls)
     found = find_duplicate_wall(local_map, mature, observed, roughness)
     if found is None:
         return None
