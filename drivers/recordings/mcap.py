@@ -25,6 +25,7 @@ from mcap.writer import Writer
 from ..errors import RecordingError
 from ..messages import GroundTruth, Message, Odometry, Scan, YawRate
 from ..timestamps import to_nanoseconds
+from .chunk_indexes import ChunkIndexes
 from .decompression import DecompressionError, decompress
 from .ros_encoder import BASE_FRAME, ODOMETRY_FRAME, Diagnostic, RosEncoder
 from .ros_messages import (
@@ -147,6 +148,7 @@ class McapWriter:
             raise RecordingError(self.path, None, f"cannot be written: {error.strerror}") from error
         self._encoder = RosEncoder()
         self._writer = Writer(self._file)
+        self._writer._Writer__chunk_indices = ChunkIndexes()  # type: ignore[attr-defined]  # a list grows faster
         self._writer.start(profile="ros2", library="wclm-slam")
         self._channels: dict[str, int] = {}
         self._frames: dict[bytes | None, str] = {}  # mount -> name of the lidar's frame

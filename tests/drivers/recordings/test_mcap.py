@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import RecordBuilder
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from drivers import GroundTruth, Message, Odometry, RecordingError, Scan, inspect
@@ -230,3 +233,46 @@ def test_damaged_files_raise_only_recording_errors(tmp_path: Path, short_file: b
         assert time.process_time() - start < 10
     stamps = [message.stamp for message in messages]
     assert stamps == sorted(stamps)
+
+
+@pytest.fixture
+def chunks(tmp_path: Path, drive: list[Message], monkeypatch: pytest.MonkeyPatch) -> tuple[Path, float]:
+    """Return a recording with a chunk for each message, and the bytes of memory that its writer keeps of each."""
+    monkeypatch.setattr("drivers.recordings.mcap.FLUSH_PERIOD", 0.0)
+    monkeypatch.setattr("drivers.recordings.mcap.os.fsync", lambda file: None)
+    half = len(drive) // 2
+    tracemalloc.start()
+    try:
+        with McapWriter(tmp_path / "chunks.mcap") as writer:
+            for message in drive[:half]:
+                writer.write(message)
+            before = tracemalloc.get_traced_memory()[0]
+            for message in drive[half:]:
+                writer.write(message)
+            kept = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    return tmp_path / "chunks.mcap", kept / (len(drive) - half)
+
+
+def test_memory_for_a_chunk_is_that_of_its_index_in_the_file(chunks: tuple[Path, float]) -> None:
+    """A chunk is finished twice a second, for days."""
+    with chunks[0].open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    builder = RecordBuilder()
+    for index in summary.chunk_indexes:
+        index.write(builder)
+    assert chunks[1] < 1.5 * builder.count / len(summary.chunk_indexes)
+
+
+def test_messages_of_any_time_are_found_by_the_index(chunks: tuple[Path, float], drive: list[Message]) -> None:
+    stamps = sorted({to_nanoseconds(message.stamp) for message in drive if isinstance(message, Scan)})
+    middle = len(stamps) // 2
+    with chunks[0].open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        found = list(reader.iter_messages(["/scan"], starting_at=stamps[middle], ending_before=stamps[middle + 3]))
+    assert summary is not None
+    assert len(summary.chunk_indexes) == len(drive)
+    assert [message.log_time for _, _, message in found] == stamps[middle : middle + 3]
