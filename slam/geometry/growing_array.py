@@ -43,12 +43,20 @@ class GrowingArray:
     def replace_last(self, rows: ArrayLike) -> None:
         """Replace the last rows by (m, ...) others."""
         new = np.asarray(rows, dtype=np.float64).reshape(-1, *self._shape)
-        self._storage = self._storage.copy()
+        self._move(len(self._storage))
         self._storage[self._count - len(new) : self._count] = new
 
     def append(self, row: ArrayLike) -> None:
         """Append a row."""
         if self._count == len(self._storage):
-            self._storage = np.concatenate([self._storage, np.zeros_like(self._storage)])
+            self._move(2 * self._count)
         self._storage[self._count] = row
         self._count += 1
+
+    def _move(self, capacity: int) -> None:
+        """Copy the rows to a storage for `capacity` rows; memory that was only reserved is never written to, so the
+        system does not provide it before it is needed.
+        """
+        storage = np.zeros((capacity, *self._shape))
+        storage[: self._count] = self.rows
+        self._storage = storage

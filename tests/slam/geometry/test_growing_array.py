@@ -1,6 +1,11 @@
 """Array that grows row by row."""
 
+import resource
+import sys
+from pathlib import Path
+
 import numpy as np
+import pytest
 
 from slam.geometry.growing_array import GrowingArray
 
@@ -37,3 +42,17 @@ def test_rows_that_were_read_stay_as_they_were() -> None:
     array.replace(array.rows[::-1])
     np.testing.assert_array_equal(before, [[1.0], [2.0], [3.0]])
     np.testing.assert_array_equal(last, [3.0])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="resident memory is read from /proc")
+def test_memory_for_rows_to_come_is_not_used_yet() -> None:
+    """Otherwise the memory of a long run would double at times."""
+
+    def resident() -> int:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    array = GrowingArray((9,), np.ones((1_000_000, 9)))
+    before = resident()
+    array.append(np.ones(9))
+    array.replace_last([np.ones(9)])
+    assert resident() - before < 0.1 * array.rows.nbytes
