@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.messages import Odometry, Scan
+from drivers.realtime import request_realtime_priority
 from drivers.recordings.mcap import McapReader
 from slam.evaluation.metrics import score_reference
 from slam.io.output_dir import SUMMARY, TRAJECTORY
@@ -67,13 +68,15 @@ def drive_with_faults(folder: Path, seconds: int, source: random.Random) -> Iter
         options += [f"--{kind}", f"{device}@{at:.0f}" + (f":{lasting:.1f}" if kind in LASTING else "")]
     with emulated(folder, "room", *options) as devices:
         run = LiveRun(folder, devices, "--duration", str(seconds), period=False)
-        memory = _watch(run)
+        memory, stops = _watch(run)
         processor = children_seconds()
         if status := run.process.wait(END_TIMEOUT):
             found.failures.append(f"ended with {status}: {run.stderr[-300:]}")
     found.figures |= {"events": len(events), "processor": round(children_seconds() - processor)}
     _check_memory(found, memory)
-    begun = json.loads((folder / "report.json").read_text())["begun"]
+    report = json.loads((folder / "report.json").read_text())
+    begun, not_read = report["begun"], {device: report[device]["overrun"] for device in ("lidar", "base")}
+    found.figures |= {"longest_stop": round(max(stops, default=0.0), 3), "not_read": not_read}
     messages = list(McapReader(run.recording))
     measured = {
         "lidar": ([message.stamp for message in messages if isinstance(message, Scan)], LONGEST_SCAN_GAP),
@@ -104,26 +107,31 @@ def _schedule(seconds: int, source: random.Random) -> list[tuple[float, str, str
     return events
 
 
-def _watch(run: LiveRun) -> NDArray[np.float64]:
-    """Return (n, 2) seconds and resident megabytes of a run until it ends, slowing it down now and then."""
-    rows, begun = [], time.monotonic()
-    threading.Thread(target=_throttle, args=(run, begun), daemon=True).start()
+def _watch(run: LiveRun) -> tuple[NDArray[np.float64], list[float]]:
+    """Slow a run down now and then until it ends.
+
+    Return (n, 2) seconds and resident megabytes, and the seconds for which it was stopped each time.
+    """
+    rows, stops, begun = [], list[float](), time.monotonic()
+    threading.Thread(target=_throttle, args=(run, begun, stops), daemon=True).start()
     while run.process.poll() is None:
         rows.append((time.monotonic() - begun, sum(map(_resident, process_tree(run.process.pid)))))
         time.sleep(5.0)
-    return np.array(rows)
+    return np.array(rows), stops
 
 
-def _throttle(run: LiveRun, begun: float) -> None:
-    """Stop and continue all processes of a run so that they get SHARE of the time."""
+def _throttle(run: LiveRun, begun: float, stops: list[float]) -> None:
+    """Stop and continue all processes of a run so that they get SHARE of the time; add how long each stop lasts."""
+    request_realtime_priority()  # on a busy computer the processes would be stopped until this thread has its turn
     while run.process.poll() is None:
         if not THROTTLED[0] < (time.monotonic() - begun) % THROTTLE_PERIOD < THROTTLED[1]:
             time.sleep(1.0)
             continue
-        processes = run.processes()
+        processes, stopped = run.processes(), time.monotonic()
         send(processes, signal.SIGSTOP)
         time.sleep((1.0 - SHARE) * CYCLE)
         send(processes, signal.SIGCONT)
+        stops.append(time.monotonic() - stopped)
         time.sleep(SHARE * CYCLE)
 
 
