@@ -21,7 +21,7 @@ class ChunkIndexes:
     def append(self, index: ChunkIndex) -> None:
         """Add the index of a chunk that was written."""
         builder = RecordBuilder()
-        index.write(builder)  # type: ignore[no-untyped-call]
+        index.write(builder)
         self._records += builder.end()  # type: ignore[no-untyped-call]
 
     def __iter__(self) -> Iterator[ChunkIndexes]:
@@ -30,4 +30,4 @@ class ChunkIndexes:
 
     def write(self, stream: RecordBuilder) -> None:
         """Write all records."""
-        stream.write(self._records)  # type: ignore[no-untyped-call]
+        stream.write(self._records)
