@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from ..lidars.measurements import Integers, Measurements
+from ..lidars.measurements import Flags, Integers, Measurements
 from ..messages import Floats
 from ..transport import Received
 from .device_clock import DeviceClock
@@ -70,7 +70,8 @@ class PacketCountClock:
 
     Packets lost as a whole do not show in the bytes. They show in that all later packets stay late. A busy host, which
     reads all waiting bytes at once, delays single reads, and more of them the busier it is; therefore the mean delay
-    before decides how many late reads in a row are a loss.
+    before decides how many late reads in a row are a loss. Reads that are not complete do not count: bytes that have
+    waited for long come in several of them, and all are late.
     """
 
     def __init__(self, period: float) -> None:
@@ -79,9 +80,14 @@ class PacketCountClock:
         self._late: dict[float, float] = {}  # delay of the last reads by arrival time; all of them late
         self._mean_delay = LOSS_DELAY  # of the reads before; unknown at first
 
-    def stamp(self, count: int, arrived: float) -> float:
-        """Return the host's time (seconds) at packet number `count`, the last of the packets decoded at `arrived`."""
+    def stamp(self, count: int, arrived: float, *, complete: bool = True) -> float:
+        """Return the host's time (seconds) at packet number `count`, the last of the packets decoded at `arrived`.
+
+        complete  False if later packets may have arrived by then
+        """
         stamp = self.clock.stamp(count, arrived)
+        if not complete:
+            return stamp
         if arrived - stamp < LOSS_DELAY:
             for delay in (*self._late.values(), arrived - stamp):
                 self._mean_delay += (max(delay, MIN_MEAN_DELAY) - self._mean_delay) / MEAN_DELAY_READS
@@ -112,7 +118,8 @@ class PacketStamper:
         self._device_clock = DeviceClock(1.0)  # for packets with a device time in seconds
         self._count_clock = PacketCountClock(period)
         self._fed = 0
-        self._chunks: deque[tuple[int, float]] = deque(maxlen=MAX_CHUNKS)  # bytes fed up to its end, arrival
+        # Of each chunk the bytes fed up to its end, its arrival, and whether it was complete.
+        self._chunks: deque[tuple[int, float, bool]] = deque(maxlen=MAX_CHUNKS)
         self._last_end: int | None = None
         self._number = 0  # number of the last packet
         self._damaged = 0
@@ -129,9 +136,9 @@ class PacketStamper:
         }
 
     def add_chunk(self, received: Received) -> None:
-        """Store the size and arrival time of a chunk before it is decoded."""
+        """Store the size and arrival of a chunk before it is decoded."""
         self._fed += len(received.data)
-        self._chunks.append((self._fed, received.time))
+        self._chunks.append((self._fed, received.time, received.complete))
 
     def add(self, measurements: Measurements) -> list[tuple[Measurements, Floats]]:
         """Return measurements with the stamps (n,) of their samples, in seconds on the host's steady clock.
@@ -141,11 +148,12 @@ class PacketStamper:
         packets = measurements.packets
         if not len(packets):
             return []
-        arrivals = self._arrivals(packets["end"])
+        arrivals, complete = self._arrivals(packets["end"])
         has_device_time = not np.isnan(packets["device_time"]).any()
         times = packets["device_time"] if has_device_time else self._packet_numbers(packets["end"])
-        self._held.append((measurements, times, self._undelayed(times, arrivals, has_device_time=has_device_time)))
         clock = self._device_clock if has_device_time else self._count_clock.clock
+        undelayed = self._undelayed(times, arrivals, None if has_device_time else complete)
+        self._held.append((measurements, times, undelayed))
         self._settled |= bool((times[-1] - self._held[0][1][0]) * clock.tick >= SETTLING_SECONDS)
         if not self._settled:
             return []
@@ -154,9 +162,12 @@ class PacketStamper:
         self._held.clear()
         return [(held, held.stamps(undelayed)) for held, undelayed in ready]
 
-    def _undelayed(self, times: Floats | Integers, arrivals: Floats, *, has_device_time: bool) -> Floats:
-        """Return when the packets (m,) would have arrived without delay, as far as the clock is known."""
-        clock = self._device_clock if has_device_time else self._count_clock.clock
+    def _undelayed(self, times: Floats | Integers, arrivals: Floats, complete: Flags | None) -> Floats:
+        """Return when the packets (m,) would have arrived without delay, as far as the clock is known.
+
+        complete  (m,) whether all bytes that had arrived with a packet were read; None: `times` are the device's
+        """
+        clock = self._device_clock if complete is None else self._count_clock.clock
         undelayed = np.empty(len(times))
         # Of packets that arrived together the last one was delayed least; the others are computed from it.
         group_ends = np.flatnonzero(np.append(arrivals[1:] != arrivals[:-1], True))
@@ -165,22 +176,21 @@ class PacketStamper:
             arrived = float(arrivals[last])
             stamp = (
                 clock.stamp(float(times[last]), arrived)
-                if has_device_time
-                else self._count_clock.stamp(int(times[last]), arrived)
+                if complete is None
+                else self._count_clock.stamp(int(times[last]), arrived, complete=bool(complete[last]))
             )
             group = slice(first, last + 1)
             undelayed[group] = stamp - (times[last] - times[group]) * clock.tick * (1.0 + clock.drift)
             first = last + 1
         return undelayed
 
-    def _arrivals(self, ends: Integers) -> Floats:
-        """Return the arrival times of the chunks that contain the packets' last bytes."""
-        chunk_ends = np.array([end for end, _ in self._chunks])
-        times = np.array([time for _, time in self._chunks])
+    def _arrivals(self, ends: Integers) -> tuple[Floats, Flags]:
+        """Return arrival times of the chunks that contain the packets' last bytes, and whether they are complete."""
+        chunk_ends, times, complete = map(np.array, zip(*self._chunks, strict=True))
         rows = np.minimum(np.searchsorted(chunk_ends, ends), len(times) - 1)
         for _ in range(int(rows[-1])):
             self._chunks.popleft()
-        return np.asarray(times[rows])
+        return np.asarray(times[rows]), np.asarray(complete[rows])
 
     def _packet_numbers(self, ends: Integers) -> Integers:
         """Return the packets' numbers, counting the damaged ones in between."""

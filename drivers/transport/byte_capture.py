@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import EndOfCaptureError, PortError, RecordingError
-from .transport import Received, Transport
+from .transport import LINE_BUFFER, Received, Transport
 
 LINE_PATTERN = re.compile(r"([0-9]+(?:\.[0-9]+)?) ([<>]) ((?:[0-9a-fA-F]{2})+)")
 FROM_DEVICE = "<"
@@ -164,6 +164,7 @@ def read_capture(path: str | Path) -> Iterator[tuple[str, Received]]:
                 match = LINE_PATTERN.fullmatch(text)
                 if match is None:
                     raise RecordingError(path, number, "not a line of a byte capture: <seconds> <arrow> <hex>")
-                yield match[2], Received(bytes.fromhex(match[3]), float(match[1]))
+                data = bytes.fromhex(match[3])
+                yield match[2], Received(data, float(match[1]), len(data) < LINE_BUFFER)
     except (OSError, UnicodeDecodeError) as failure:
         raise RecordingError(path, None, f"cannot be read: {failure}") from failure

@@ -11,7 +11,7 @@ from typing import Any
 import serial
 
 from ..errors import ConnectionLostError, PortError
-from .transport import Received, read_promptly
+from .transport import LINE_BUFFER, Received, read_promptly
 
 WRITE_TIMEOUT = 1.0
 """Seconds; requests are a few bytes long, so a port that accepts none for this long is stuck."""
@@ -59,17 +59,19 @@ class SerialPort:
             raise PortError(port, f"{error}") from error
 
     def read(self, timeout: float) -> Received:
-        """Return all bytes that have arrived; wait at most `timeout` seconds for the first one."""
+        """Return the bytes that are available; wait at most `timeout` seconds for the first one."""
         try:
             if timeout != self._timeout:  # setting the timeout reconfigures the port
                 self._serial.timeout = self._timeout = timeout
             first = self._serial.read(1)
             if not first:
                 return Received(b"", time.monotonic())
-            rest, arrived = read_promptly(lambda: self._serial.read(self._serial.in_waiting))
+            rest, arrived, complete = read_promptly(
+                lambda: self._serial.read(self._serial.in_waiting), LINE_BUFFER - len(first)
+            )
         except PORT_ERRORS as error:
             raise self._connection_lost(error) from error
-        return Received(first + rest, arrived)
+        return Received(first + rest, arrived, complete)
 
     def write(self, data: bytes) -> None:
         """Send bytes; also raises ConnectionLostError if the port accepts none for a second."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from math import inf
 from typing import NamedTuple, Protocol
 
 PROMPT_DURATION = 1e-3
@@ -12,11 +13,15 @@ PROMPT_DURATION = 1e-3
 """
 MAX_READS = 5
 """Maximum number of reads in a row on a host that is never prompt."""
+LINE_BUFFER = 4095
+"""Bytes of a serial port that Linux makes available at a time, by the size of the buffer of its line discipline, N_TTY.
+Further ones wait in the driver; a thread of the kernel moves them there some time after a read.
+"""
 
 
 class Received(NamedTuple):
     """Bytes that had arrived by `time`, in seconds on the host's steady clock (`time.monotonic`); empty after a
-    timeout.
+    timeout. Not `complete` if further bytes may have arrived by then.
 
     The steady clock is used because the wall clock can be set while a device is being read. It is the same in all
     processes of a host.
@@ -24,6 +29,7 @@ class Received(NamedTuple):
 
     data: bytes
     time: float
+    complete: bool = True
 
 
 class Transport(Protocol):
@@ -63,18 +69,20 @@ class Transport(Protocol):
         ...
 
 
-def read_promptly(read: Callable[[], bytes]) -> Received:
+def read_promptly(read: Callable[[], bytes], limit: float = inf) -> Received:
     """Return the bytes available from `read`, which does not wait, with the time at which the last one was available.
+
+    limit  bytes that the system makes available at a time: so many are not complete
 
     A busy host may suspend the program between reading the bytes and reading the clock. All bytes would then seem to
     have arrived late. The bytes that arrive meanwhile are therefore read too, until one read and its clock reading were
-    prompt: then the time of the last bytes is right.
+    prompt: then the time of the last bytes is right. If none was, the bytes are not complete.
     """
-    data = b""
+    data, prompt = b"", False
     for _ in range(MAX_READS):
         before = time.monotonic()
         data += read()
         after = time.monotonic()
-        if after - before < PROMPT_DURATION:
+        if prompt := after - before < PROMPT_DURATION:
             break
-    return Received(data, after)
+    return Received(data, after, prompt and len(data) < limit)

@@ -26,7 +26,7 @@ from drivers.lidars import ld06
 from drivers.lidars.rplidar import dense
 from drivers.lidars.rplidar.decoding import decoder_for
 from drivers.transport import Received, transport
-from drivers.transport.transport import read_promptly
+from drivers.transport.transport import LINE_BUFFER, read_promptly
 
 SECONDS, START = 5.0, 1000.0
 TURNS = 10.0
@@ -115,7 +115,7 @@ class PluggedLidar(LidarDevice):
 
 @dataclass
 class Host:
-    """Scheduling of a thread.
+    """Scheduling of a thread, and its serial port, of which the system makes LINE_BUFFER bytes available at a time.
 
     chance, longest  probability of being suspended before the end of a call, and maximum duration in seconds
     frozen           (n, 2) intervals in seconds in which nothing runs on the whole computer
@@ -147,13 +147,13 @@ def reads(number: int, device: Sent, host: Host, patch: pytest.MonkeyPatch) -> I
 
     def take() -> bytes:
         nonlocal at
-        before, at = at, bisect_right(byte_times, host.now)
+        before, at = at, min(bisect_right(byte_times, host.now), at + LINE_BUFFER)
         return device.data[before:at]
 
     while at < len(device.data):
         host.sleep(max(0.0, byte_times[at] - host.now))
         patch.setattr(transport, "time", host)
-        received = read_promptly(take)
+        received = read_promptly(take, LINE_BUFFER)
         yield host.monotonic(), number, received
         host.sleep(READ_PAUSE)
 
@@ -250,6 +250,15 @@ def test_a_heavily_loaded_host_is_not_taken_for_lost_packets(
         assert run.lidar.counters()["clock_jumps"] == 0
         scans = [message.stamp for message in run.messages if isinstance(message, Scan)]
         assert np.diff(scans).min() > 0.9 / TURNS
+
+
+def test_bytes_that_wait_for_several_reads_are_not_taken_for_lost_packets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In some tenths of a second more bytes arrive than one read returns, and all of these reads are late."""
+    for seed in range(8):
+        run = simulate_run("clockless", seed, 0.01, 0.8, 0, monkeypatch)
+        assert_in_order(run)
+        assert_complete(run)
+        assert run.lidar.counters()["clock_jumps"] == 0
 
 
 @pytest.mark.parametrize("robot", ["clockless", "clocked"])

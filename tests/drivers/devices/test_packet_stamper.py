@@ -139,3 +139,15 @@ def test_loss_of_whole_packets_is_detected() -> None:
         if count != 100:  # this one may have been delayed
             assert stamp == pytest.approx(true, abs=1e-6)
     assert (clock.lost, clock.clock.jumps) == (20, 1)
+
+
+def test_late_reads_that_are_not_complete_do_not_count_as_a_loss() -> None:
+    """The host was held up for 0.4 s, and then reads a fifth of what has come every 10 ms."""
+    clock, period = PacketCountClock(0.0043), 0.0043
+    ends = range(219, 300, 20)
+    for count in range(200):
+        clock.stamp(count, START + count * period)
+    for k, count in enumerate(ends):
+        stamp = clock.stamp(count, START + 300 * period + 0.01 * k, complete=count == ends[-1])
+        assert stamp == pytest.approx(START + count * period, abs=1e-6)
+    assert (clock.lost, clock.clock.jumps) == (0, 0)

@@ -81,9 +81,9 @@ def test_unpaced_replay_does_not_wait(tmp_path: Path) -> None:
     player = ReplayTransport(path)
     player.write(b"whatever")
     before = time.monotonic()
-    assert player.read(0.05) == (b"\x01\x02", 1.0)
-    assert player.read(50.0) == (b"", 51.0)
-    assert player.read(50.0) == (b"\x03", 100.0)
+    assert player.read(0.05) == Received(b"\x01\x02", 1.0)
+    assert player.read(50.0) == Received(b"", 51.0)
+    assert player.read(50.0) == Received(b"\x03", 100.0)
     with pytest.raises(EndOfCaptureError):
         player.read(0.1)
     assert time.monotonic() < before + 5.0

@@ -126,8 +126,9 @@ def test_bytes_that_arrive_while_the_host_is_held_up_are_read_too(
 
     monkeypatch.setattr(transport, "time", SimpleNamespace(monotonic=lambda: now))
     now += 0.01
-    data, arrived = read_promptly(take)
+    data, arrived, complete = read_promptly(take)
     assert len(data) == taken
+    assert complete == (held_up < MAX_READS)
     assert calls == min(held_up + 1, MAX_READS)
     assert arrived - (100.0 + len(data) / 1000) == pytest.approx(1e-5 if held_up < MAX_READS else 0.05)
 
@@ -311,3 +312,19 @@ def test_a_refused_tcp_connection_is_an_error() -> None:
         TcpConnection(*address)
     with pytest.raises(PortError, match="no connection"):
         TcpConnection("127.0.0.1", 123456)
+
+
+def test_bytes_that_may_not_be_all_are_not_complete(pair: tuple[Transport, Peer]) -> None:
+    """Linux hands over some 4000 bytes of a serial port at a time."""
+    connection, peer = pair
+    sent = bytes(range(256)) * 40
+    peer.write(sent)
+    time.sleep(0.05)
+    data = b""
+    while len(data) < len(sent):
+        received = connection.read(1.0)
+        data += received.data
+        assert not received.complete or len(data) == len(sent)
+    assert data == sent
+    peer.write(b"more")
+    assert connection.read(1.0).complete
