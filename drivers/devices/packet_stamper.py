@@ -77,7 +77,7 @@ class PacketCountClock:
     def __init__(self, period: float) -> None:
         self.clock = DeviceClock(period)
         self.lost = 0
-        self._late: dict[float, float] = {}  # delay of the last reads by arrival time; all of them late
+        self._late: dict[float, tuple[float, int]] = {}  # delay and number of the last reads by arrival; all are late
         self._mean_delay = LOSS_DELAY  # of the reads before; unknown at first
 
     def stamp(self, count: int, arrived: float, *, complete: bool = True) -> float:
@@ -89,17 +89,23 @@ class PacketCountClock:
         if not complete:
             return stamp
         if arrived - stamp < LOSS_DELAY:
-            for delay in (*self._late.values(), arrived - stamp):
+            for delay in (*(delay for delay, _ in self._late.values()), arrived - stamp):
                 self._mean_delay += (max(delay, MIN_MEAN_DELAY) - self._mean_delay) / MEAN_DELAY_READS
             self._late.clear()
             return stamp
         # The delay of a read is that of its last packet, which may be decoded only after the next read.
-        self._late[arrived] = arrived - stamp
-        if len(self._late) < MIN_LATE_READS or sum(self._late.values()) < LOSS_ODDS * self._mean_delay:
+        self._late[arrived] = arrived - stamp, count
+        if (
+            len(self._late) < MIN_LATE_READS
+            or sum(delay for delay, _ in self._late.values()) < LOSS_ODDS * self._mean_delay
+        ):
             return stamp
-        self.lost += round(min(self._late.values()) / self.clock.tick)
+        # The read that is late by least shows the loss; the others were delayed by the host as well.
+        shown_at, (lost, number) = min(self._late.items(), key=lambda read: read[1])
+        self.lost += round(lost / self.clock.tick)
         self._late.clear()
         self.clock.register_jump()
+        self.clock.stamp(number, shown_at)
         return self.clock.stamp(count, arrived)
 
 

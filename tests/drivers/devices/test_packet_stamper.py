@@ -151,3 +151,13 @@ def test_late_reads_that_are_not_complete_do_not_count_as_a_loss() -> None:
         stamp = clock.stamp(count, START + 300 * period + 0.01 * k, complete=count == ends[-1])
         assert stamp == pytest.approx(START + count * period, abs=1e-6)
     assert (clock.lost, clock.clock.jumps) == (0, 0)
+
+
+def test_delay_of_the_host_after_a_loss_is_not_taken_for_more_of_it() -> None:
+    clock, period, lost = PacketCountClock(0.0043), 0.0043, 15
+    for count in range(200):
+        clock.stamp(count, START + count * period)
+    clock.stamp(200, START + (200 + lost) * period)
+    late = START + (220 + lost) * period
+    assert clock.stamp(220, late + 0.6) == pytest.approx(late, abs=1e-6)
+    assert (clock.lost, clock.clock.jumps) == (lost, 1)
