@@ -40,8 +40,8 @@ MIN_NORMAL_POINTS = 4
 # line through noisy points, radians squared. Origin: chosen, a seventh in standard deviations; not measured.
 MAX_FLATNESS = 0.02
 # Largest variance of the points across a line, relative to that across the walls of the scan. Origin: chi-square, the
-# mean square of 2 to 7 normal deviates is below it in 86 to 96 %.
-MAX_SCATTER = 2.0
+# sum of squares of 2 to 7 normal deviates, divided by the 4 to 9 points, is below it in 99.7 %.
+MAX_SCATTER = 3.0
 # Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
 NORMAL_MEDIAN = 0.4549
 
@@ -106,6 +106,7 @@ def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats
       robot moves, the ends of beams slide along smooth surfaces, all in one direction, so that these errors do not
       average out. An error that is uniform up to g / 2 has the variance g^2 / 12. With that of the point itself, s^2,
       the information is s^2 / (s^2 + g^2 / 12) of that of the point, and the rest is excess.
+    - All information is excess if the neighbours scatter no more than noise explains, and still show no line.
     """
     points = np.ascontiguousarray(points)  # subsampled ones would be compiled for separately
     return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing))
@@ -195,11 +196,13 @@ def _set_normal(points, k, noise):  # type: ignore[no-untyped-def]
     xx, xy, yy = xx / n - (x / n) ** 2, xy / n - x * y / n**2, yy / n - (y / n) ** 2
     half_difference, middle = math.hypot(0.5 * (xx - yy), xy), 0.5 * (xx + yy)
     least, most = middle - half_difference, middle + half_difference
-    flat, noisy = least < MAX_FLATNESS * most, least < min(MAX_SCATTER * noise, (n - 2) * MAX_FLATNESS * most)
-    if flat or noisy:
+    determined = least < (n - 2) * MAX_FLATNESS * most
+    if least < MAX_FLATNESS * most or (least < MAX_SCATTER * noise and determined):
         along = 0.5 * math.atan2(2 * xy, xx - yy)
         c, s = math.cos(along), math.sin(along)
         if c * beams_x + s * beams_y < 0.0:
             c, s = -c, -s
         points[k, 2], points[k, 3], points[k, 4] = -s, c, least / ((n - 2) * most)
+    elif least < MAX_SCATTER * noise:
+        points[k, 4] = 1.0
     return True
