@@ -1,13 +1,18 @@
-"""Features of two lidars are those of one scan at the pose of the first lidar's."""
+"""Features of one lidar, and of two, which are those of one scan at the pose of the first lidar's."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from drivers.messages import Odometry, Scan
+from slam.config import FeatureConfig, LidarConfig, OdometryConfig
 from slam.geometry.segments import CornerPoints, Segments
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
-from slam.preprocessing.lidar_features import joined
+from slam.odometry.error_model import OdometryModel
+from slam.odometry.history import OdometryHistory
+from slam.preprocessing.extraction import build_extractor
+from slam.preprocessing.lidar_features import LidarFeatures, joined
 from slam.preprocessing.motion_uncertainty import displaced
 
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
@@ -28,3 +33,21 @@ def test_the_second_lidars_features_contain_the_displacements_of_both_scans() ->
     expected, _ = displaced(second.segments, second.corners, first.sweep_covariance + second.sweep_covariance)
     np.testing.assert_allclose(both.segments.covariance[1], expected.covariance[0])
     np.testing.assert_allclose(np.diag(both.segments.covariance[1]), [1e-4 + 5e-4 + 1e-5, 1e-4 + 1e-5])
+
+
+def test_chords_of_curved_surfaces_are_no_segments() -> None:
+    """A round room with one flat wall, 2 m in front of the lidar."""
+    angles = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    noise = 0.01 * np.random.default_rng(1).normal(size=720)
+    ranges = np.minimum(3.0, 2.0 / np.maximum(np.cos(angles), 0.01)) + noise
+    model, history = OdometryModel(OdometryConfig()), OdometryHistory()
+    for stamp in (0.0, 0.1, 0.2):
+        history.add(Odometry(stamp, np.zeros(3)))
+    scan = Scan(0.1, ranges, angles, np.zeros(720), 0.1, 10.0)
+    lidar = LidarConfig(sigma_range=0.01)
+    every_line = build_extractor(lidar, FeatureConfig()).extract(ranges, angles).lines
+    features = LidarFeatures(lidar, FeatureConfig()).extract(scan, history, model).in_base_frame(model)
+    assert len(every_line) > 15
+    assert len(features.segments) < 0.4 * len(every_line)
+    assert np.abs(features.segments.frame[:, 0] - 2.0).min() < 0.02
+    assert len(features.points.xy) > 300
