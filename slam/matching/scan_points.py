@@ -9,6 +9,7 @@ import numpy as np
 from drivers.compiled import compiled
 
 from ..geometry.angles import axes_of
+from ..geometry.median import median
 from ..geometry.segments import Floats, Integers, Segments
 
 # Points of one scan that are kept; denser scans are subsampled. Origin: chosen, above the 361 beams of a half-circle
@@ -138,7 +139,7 @@ def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-u
             if abs(axes[line, 0] * dx + axes[line, 1] * dy) < half_lengths[line]:
                 across[found] = (axes[line, 0] * dy - axes[line, 1] * dx) ** 2
                 found += 1
-    noise = np.median(across[:found]) / NORMAL_MEDIAN if found else 0.0
+    noise = median(across[:found]) / NORMAL_MEDIAN if found else 0.0
     for k in range(count):
         if lines[k] < 0 and not _set_normal(kept, k, noise):
             gap = _gap_beside(points, rows[k])
