@@ -85,8 +85,8 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
         if len(slope) != BIAS_SLOPE_SIZES.get(kind, 0):
             raise MapError(f"{file}: a factor of kind {kind} has a slope of the wrong size")
         covariance = np.zeros((size, size))
-        covariance[np.triu_indices(size)] = upper
-        covariance.T[np.triu_indices(size)] = upper
+        covariance[UPPER_TRIANGLES[size]] = upper
+        covariance.T[UPPER_TRIANGLES[size]] = upper
         factors.append(Factor(kind, first, second, numbers, covariance, slope))
     for size in sorted({len(factor.covariance) for factor in factors}):
         if not are_covariances(np.array([f.covariance for f in factors if len(f.covariance) == size])):
