@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from dataclasses import dataclass
+from functools import cache
 from itertools import groupby
 from pathlib import Path
 
@@ -41,13 +42,14 @@ class Block:
         return [list(words) for line in groups for separates, words in line if not separates]
 
 
-def blocks() -> list[Block]:
+@cache
+def blocks() -> tuple[Block, ...]:
     """Return all blocks of shell commands and Python of all pages."""
-    return [
+    return tuple(
         Block(name, number, match["language"], match["needs"] or "", match["text"])
         for name, page in PAGES.items()
         for number, match in enumerate(BLOCK.finditer(page.read_text(encoding="utf-8")), start=1)
-    ]
+    )
 
 
 def mentions() -> list[tuple[str, list[str]]]:
