@@ -23,12 +23,12 @@ from slam.io.tum import Trajectory, read_tum, write_tum
 
 from ..replacements import replaced
 
-DURATION = 10.5
-"""Duration of simulated drives, seconds; more than a hundred scans."""
+DURATION = 8.0
+"""Duration of simulated drives, seconds; they turn enough to calibrate from."""
 FEW_BEAMS = simulation.LidarModel(beams=160)
 WORLD = """\
 title = "a room to calibrate in"
-speed = 0.9
+speed = 1.2
 path = [[1, 1], [2, 2.4], [3, 1.2], [4, 2.6], [5, 1.2], [4, 3], [2, 3], [1, 1]]
 
 [[walls]]

@@ -31,6 +31,8 @@ OTHER_PROGRAMS = {
 """Other commands, by their names without a folder; those of `make` that runs here must be targets."""
 SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
 """Smaller values for options that determine the duration of benchmarks."""
+EARLIER = {"--scan": "50"}
+"""Smaller values for options that presuppose a longer drive."""
 OF_SEVERAL_DRIVES = ("docs/changes.md", "docs/merge.md")
 """Pages with blocks that need recordings of two drives through one building."""
 LONGER = 18.0
@@ -40,6 +42,11 @@ SLOW_LIDAR = replace(FEW_BEAMS, rate=5.0)
 command_line: Any = cache(get_command)
 MENTIONS = mentions()
 WITH_BLOCKS = sorted({block.page for block in blocks()})
+
+
+def with_values(words: list[str], values: dict[str, str]) -> list[str]:
+    """Return the words of a command with other values of the options in `values`."""
+    return [values.get(before, word) for before, word in zip(["", *words], words, strict=False)]
 
 
 def parse_command(words: list[str]) -> None:
@@ -109,7 +116,7 @@ def test_blocks_run_in_order(page: str, reader: Reader) -> None:
                 exec(compile(block.text, str(block), "exec"), {"__name__": "__main__"})
             else:
                 for words in block.commands():
-                    reader.run(words)
+                    reader.run(with_values(words, EARLIER))
 
 
 @pytest.mark.slow
@@ -120,8 +127,7 @@ def test_slow_blocks_run(block: Block, tmp_path: Path, monkeypatch: pytest.Monke
     with simulations_of(100.0):
         fill(tmp_path)
     for words in block.commands():
-        shorter = [SHORTER.get(before, word) for before, word in zip(["", *words], words, strict=False)]
-        Reader(tmp_path).run(shorter)
+        Reader(tmp_path).run(with_values(words, SHORTER))
 
 
 def test_commands_of_the_readme_with_several_drives_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
