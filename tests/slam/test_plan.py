@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Message
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from drivers.simulation.world import load_world
 from slam import Slam
 from slam.config import Config, LoopClosureConfig, config_to_toml
@@ -31,6 +32,7 @@ from slam.offline.map_diff.plan import compare_with_plan, survey_plan
 
 from .listeners import EventCollector
 
+FEW_BEAMS = LidarModel(beams=360)
 SIGMAS = (0.03, np.radians(0.3))
 SHIFT, WING = 0.5, 11.0
 """Metres by which the wing east of some x is elsewhere in the wrong plan, to the north and to the east."""
@@ -117,7 +119,7 @@ def test_a_map_is_recognised_in_a_plan_and_is_in_its_frame(
 @pytest.fixture(scope="module")
 def short_drive() -> list[Message]:
     """Return a drive through a room whose walls are on borders of the cells of distance fields, two of them at 0."""
-    return list(Simulation("room", seed=0, duration=15.0))
+    return list(Simulation("room", seed=0, duration=15.0, lidar=FEW_BEAMS))
 
 
 def moved_room(motion: se2.Pose) -> PlanMap:
@@ -186,7 +188,7 @@ def grid_map(messages: Sequence[Message], path: Path) -> Path:
 def test_a_robot_localises_in_a_plan_from_anywhere(drive: list[Message], kind: str, tmp_path: Path) -> None:
     plan, begin, end = office(), 5.0, 12.0
     if kind == "grid map":
-        another_drive = list(Simulation("office", seed=3, duration=30.0))
+        another_drive = list(Simulation("office", seed=3, duration=30.0, lidar=FEW_BEAMS))
         plan, end = build_plan_map(read_plan(grid_map(another_drive, tmp_path / "map")), SIGMAS), 25.0
     messages = [message for message in drive if begin < message.stamp < end]
     finished = run(messages, Slam(resumed=plan_session(plan, Config()), frozen=True))
@@ -202,7 +204,8 @@ def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns(
     segments = load_world("square").segments.reshape(-1, 2, 2)
     shown = segments[segments[..., 1].max(axis=1) < 5.0]
     plan = build_plan_map(Plan("square", shown, np.zeros(len(shown), dtype=bool), 1e-3), SIGMAS)
-    messages = [m for m in drivers.open("sim:square?seed=2&lidar=short&odometry=bad") if m.stamp < 135.0]
+    source = drivers.open("sim:square?seed=2&lidar=short&odometry=bad")
+    messages = list(takewhile(lambda message: message.stamp < 135.0, source))
     start = next(message.pose for message in messages if isinstance(message, GroundTruth))
     slam = Slam(Config(loop_closure=LoopClosureConfig(enabled=False)), plan=plan, start=start)
     drift = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -28,11 +29,14 @@ from slam.evaluation.benchmarks.scenarios.log_variants import (
 from slam.evaluation.benchmarks.scenarios.recorded import recorded
 from slam.evaluation.benchmarks.scenarios.world_variants import FAR, NEAR, add_crowd, bend, mirror
 
-DRIVE = list(Simulation("room", seed=1, duration=6.0, lidar=LidarModel(beams=360)))
+
+@cache
+def drive() -> list[Message]:
+    return list(Simulation("room", seed=1, duration=6.0, lidar=LidarModel(beams=360)))
 
 
 def changed(variant: LogVariant) -> list[Message]:
-    return list(variant(iter(DRIVE), np.random.default_rng(0)))
+    return list(variant(iter(drive()), np.random.default_rng(0)))
 
 
 def scans_of(messages: list[Message]) -> list[Scan]:
@@ -40,7 +44,7 @@ def scans_of(messages: list[Message]) -> list[Scan]:
 
 
 def test_cropped_scans_look_ahead_and_start_with_their_first_beam() -> None:
-    for scan, whole in zip(scans_of(changed(crop(math.pi / 2))), scans_of(DRIVE), strict=True):
+    for scan, whole in zip(scans_of(changed(crop(math.pi / 2))), scans_of(drive()), strict=True):
         assert len(scan.ranges) == 181
         np.testing.assert_allclose(scan.angles[[0, -1]], [-math.pi / 2, math.pi / 2], atol=1e-5)
         assert scan.time_offsets[0] == 0.0
@@ -50,12 +54,12 @@ def test_cropped_scans_look_ahead_and_start_with_their_first_beam() -> None:
 def test_messages_remain_in_time_order() -> None:
     for variant in (crop(1.0), stamp_late(0.05), thin(), chain(thin(), stamp_late(1.0))):
         assert all(a.stamp <= b.stamp for a, b in pairwise(changed(variant)))
-    late, original = scans_of(changed(stamp_late(0.05))), scans_of(DRIVE)
+    late, original = scans_of(changed(stamp_late(0.05))), scans_of(drive())
     np.testing.assert_allclose([a.stamp - b.stamp for a, b in zip(late, original, strict=True)], 0.05)
 
 
 def test_ranges_are_disturbed_as_stated() -> None:
-    before = np.concatenate([scan.ranges for scan in scans_of(DRIVE)])
+    before = np.concatenate([scan.ranges for scan in scans_of(drive())])
     valid = np.isfinite(before)
     rounded = np.concatenate([scan.ranges for scan in scans_of(changed(quantise(0.01)))])
     np.testing.assert_allclose(rounded[valid] / 0.01, np.round(rounded[valid] / 0.01), atol=1e-6)
@@ -76,16 +80,16 @@ def test_thinned_logs_have_few_scans_and_all_odometry() -> None:
     moved = [se2.between(a, b) for a, b in pairwise(poses)]
     assert len(moved) > 2
     assert all(math.hypot(m[0], m[1]) >= 0.5 or abs(m[2]) >= math.radians(30) for m in moved)
-    assert sum(isinstance(m, Odometry) for m in messages) == sum(isinstance(m, Odometry) for m in DRIVE)
+    assert sum(isinstance(m, Odometry) for m in messages) == sum(isinstance(m, Odometry) for m in drive())
 
 
 def test_defects_of_recordings_are_corrected_by_the_reader() -> None:
-    original = scans_of(DRIVE)
-    with recorded(scatter_no_returns()(iter(DRIVE), np.random.default_rng(0))) as reader:
+    original = scans_of(drive())
+    with recorded(scatter_no_returns()(iter(drive()), np.random.default_rng(0))) as reader:
         read = scans_of(list(reader))
     for scan, before in zip(read, original, strict=True):
         np.testing.assert_array_equal(np.isnan(scan.ranges), np.isnan(before.ranges))
-    with recorded(reverse_times()(iter(DRIVE), np.random.default_rng(0))) as reader:
+    with recorded(reverse_times()(iter(drive()), np.random.default_rng(0))) as reader:
         reader.set_beam_times = BeamTimes(reversed=True)
         first = next(message for message in reader if isinstance(message, Scan))
     np.testing.assert_allclose(first.time_offsets, original[0].time_offsets, atol=1e-9)
