@@ -34,13 +34,20 @@ print("not interrupted")
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_while_a_function_is_loaded_ends_the_command(tmp_path: Path, number: signal.Signals) -> None:
-    (tmp_path / "compiled_function.py").write_text(COMPILED)
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Directory with a module whose function another process has compiled."""
+    directory = tmp_path_factory.mktemp("compiled")
+    (directory / "compiled_function.py").write_text(COMPILED)
     compile_it = "import compiled_function; compiled_function.add_one(1)"
-    subprocess.run([sys.executable, "-c", compile_it], cwd=tmp_path, timeout=120, check=True)
+    subprocess.run([sys.executable, "-c", compile_it], cwd=directory, timeout=120, check=True)
+    return directory
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_while_a_function_is_loaded_ends_the_command(compiled: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-c", PROGRAM.format(number=int(number))]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    result = subprocess.run(command, cwd=compiled, capture_output=True, text=True, timeout=120, check=False)
     assert result.returncode == (-signal.SIGINT if number == signal.SIGINT else 128 + signal.SIGTERM), result.stderr
     assert not result.stdout
     assert "Exception ignored" not in result.stderr
