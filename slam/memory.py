@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 M_TRIM_THRESHOLD = -1
@@ -30,7 +31,7 @@ def return_large_blocks(size: int = LARGE_BLOCK) -> None:
     libraries.
     """
     with suppress(OSError, AttributeError):
-        library = ctypes.CDLL(None)
+        library = _library()
         library.mallopt(M_MMAP_THRESHOLD, size)
         library.mallopt(M_TRIM_THRESHOLD, 2 * size)
 
@@ -41,7 +42,7 @@ def return_freed_memory() -> None:
     glibc keeps it otherwise if blocks behind it are in use. No effect with other C libraries.
     """
     with suppress(OSError, AttributeError):
-        ctypes.CDLL(None).malloc_trim(0)
+        _library().malloc_trim(0)
 
 
 def return_code_of_imports() -> None:
@@ -52,10 +53,16 @@ def return_code_of_imports() -> None:
     effect with other systems.
     """
     with suppress(OSError, AttributeError, ValueError):
-        madvise = ctypes.CDLL(None).madvise
+        madvise = _library().madvise
         madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
         for begin, end in _unwritten_library_parts(Path("/proc/self/smaps").read_text(encoding="utf-8")):
             madvise(begin, end - begin, MADV_DONTNEED)
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """Return the C library. Each object of it has a class of its own, which stays until all objects are examined."""
+    return ctypes.CDLL(None)
 
 
 def _unwritten_library_parts(smaps: str) -> list[tuple[int, int]]:

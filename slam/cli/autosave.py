@@ -49,6 +49,7 @@ class Autosave:
         self._requested = False
         self._due = time.monotonic() + PERIOD
         self._thread: threading.Thread | None = None
+        self._prepared: Callable[[Path], None] | None = None  # it holds a copy of the run
         self._problem = ""
 
     def __enter__(self) -> Self:
@@ -75,7 +76,7 @@ class Autosave:
         self._due = time.monotonic() + PERIOD
         began = time.monotonic()
         try:
-            write = self._prepare()
+            self._prepared = self._prepare()
         except MapError as error:
             if requested:
                 problem = f"{self._output.path}: not saved: {error}"
@@ -83,7 +84,7 @@ class Autosave:
                 self.report(problem)
                 print_message(problem)
             return
-        self._thread = threading.Thread(target=self._save, args=(write, requested, began), name="autosave")
+        self._thread = threading.Thread(target=self._save, args=(requested, began), name="autosave")
         self._thread.start()
 
     def request(self) -> None:
@@ -97,14 +98,8 @@ class Autosave:
         if SAVE_KEY in keys.lower():
             self.request()
 
-    def _save(self, write: Callable[[Path], None], requested: bool, began: float) -> None:
-        before, self._problem = self._problem, ""
-        try:
-            self._output.save(write)
-        except OutputError as error:
-            self._problem = str(error)
-        except Exception as error:  # whatever it is, it must not end the run
-            self._problem = f"{self._output.path}: not saved: {first_line(error)}"
+    def _save(self, requested: bool, began: float) -> None:
+        before, self._problem = self._problem, self._write_prepared()
         return_freed_memory()  # else what a save has freed stays in gaps between what the run keeps
         took = time.monotonic() - began
         self._due = began + max(PERIOD, took / LARGEST_SHARE)
@@ -114,3 +109,15 @@ class Autosave:
             print_message(f"{self._problem}; the run goes on")
         elif requested:
             print_message(f"{self._output.path}: saved")
+
+    def _write_prepared(self) -> str:
+        """Write the prepared state and release it; return what was wrong, an empty text if nothing."""
+        write, self._prepared = self._prepared, None
+        assert write is not None
+        try:
+            self._output.save(write)
+        except OutputError as error:
+            return str(error)
+        except Exception as error:  # whatever it is, it must not end the run
+            return f"{self._output.path}: not saved: {first_line(error)}"
+        return ""

@@ -7,6 +7,7 @@ import platform
 import resource
 import sys
 from contextlib import suppress
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -19,7 +20,13 @@ MEMORY_STATUS = Path("/proc/self/status")
 
 def versions() -> dict[str, str]:
     """Return the versions of this program, of the packages its results depend on, and of Python."""
-    return {name: metadata.version(name) for name in PACKAGES} | {"python": platform.python_version()}
+    return {name: _installed(name) for name in PACKAGES} | {"python": platform.python_version()}
+
+
+@cache
+def _installed(package: str) -> str:
+    """Return the version of a package; a live run needs it at each save."""
+    return metadata.version(package)
 
 
 def describe_machine() -> dict[str, str | int]:
