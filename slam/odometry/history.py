@@ -5,6 +5,7 @@ from __future__ import annotations
 import bisect
 import math
 from array import array
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -125,6 +126,12 @@ class OdometryHistory:
         """Return stamps (n,) and poses (n, 3) of the readings from `begin` (seconds) to the first one from `end` on."""
         first, last = bisect.bisect_left(self._stamps, begin), bisect.bisect_left(self._stamps, end) + 1
         return np.array(self._stamps[first:last]), np.array(self._poses[3 * first : 3 * last]).reshape(-1, 3)
+
+    def blocks(self) -> Iterator[tuple[Floats, Floats]]:
+        """Yield stamps (n,) and poses (n, 3) of all readings, up to BLOCK at a time."""
+        for begin in range(0, len(self), BLOCK):
+            end = begin + BLOCK
+            yield np.array(self._stamps[begin:end]), np.array(self._poses[3 * begin : 3 * end]).reshape(-1, 3)
 
     @property
     def travelled(self) -> Floats:

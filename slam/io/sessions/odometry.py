@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from ...errors import MapError
+from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
-from .tables import TableReader, write_table
+from .tables import Column, TableReader, write_row_groups
 
 POSE_COLUMNS = ("x", "y", "heading")
 
 
 def write_odometry(file: Path, histories: Sequence[OdometryHistory]) -> None:
-    """Write the odometry of all segments. Raises OSError."""
-    stamps = np.concatenate([np.zeros(0), *(history.stamps for history in histories)])
-    poses = np.concatenate([np.zeros((0, 3)), *(history.poses for history in histories)])
-    segment = np.repeat(np.arange(len(histories), dtype=np.int32), [len(history) for history in histories])
-    write_table(
-        file, {"segment": segment, "stamp": stamps, **{name: poses[:, k] for k, name in enumerate(POSE_COLUMNS)}}
-    )
+    """Write the odometry of all segments, a block at a time: all at once would need several times the memory of the
+    run's own record. Raises OSError.
+    """
+    blocks = ((k, *block) for k, history in enumerate(histories) for block in history.blocks())
+    first = next(blocks, (0, np.zeros(0), np.zeros((0, 3))))
+    write_row_groups(file, (_columns(*block) for block in chain([first], blocks)))
+
+
+def _columns(segment: int, stamps: Floats, poses: Floats) -> dict[str, Column]:
+    """Return the columns of readings (n,) of one segment."""
+    columns: dict[str, Column] = {"segment": np.full(len(stamps), segment, dtype=np.int32), "stamp": stamps}
+    return columns | {name: poses[:, k] for k, name in enumerate(POSE_COLUMNS)}
 
 
 def read_odometry(file: Path) -> list[OdometryHistory]:
