@@ -48,39 +48,64 @@ class ScanRecords:
 
 
 def write_scans(file: Path, records: ScanRecords) -> None:
-    """Write the table. Raises OSError."""
+    """Write the table, the columns of a group at a time. Raises OSError."""
     count = len(records.scans)
     keyframes = _rows_of(np.array(records.keyframe_stamps), records.scans.stamps)
-    values = _columns_of_values(records, keyframes)
+    values = _Values.of(records)
     ends = [*range(GROUP_ROWS, count, GROUP_ROWS), count]
     groups = (range(start, end) for start, end in zip([0, *ends[:-1]], ends, strict=True))
     write_row_groups(
         file,
         (
-            {name: column[rows.start : rows.stop] for name, column in values.items()}
-            | dict[str, Column](_columns_of_lists(records, keyframes, rows))
+            dict[str, Column](values.columns(keyframes, rows)) | _columns_of_lists(records, keyframes, rows)
             for rows in groups
         ),
     )
 
 
-def _columns_of_values(records: ScanRecords, keyframes: Integers) -> dict[str, NDArray[np.generic]]:
-    """Return the columns with one value for each scan; `keyframes` are the rows of the keyframes' scans."""
-    scans, count = records.scans, len(records.scans)
-    stamps, odometry = scans.stamps, scans.odometry
-    tracked_stamps, anchors, relative, informations = records.trajectory.relative_poses()
-    tracked = _rows_of(tracked_stamps, stamps)
-    columns: dict[str, NDArray[np.generic]] = {"stamp": stamps}
-    columns |= {f"odometry_{name}": odometry[:, k] for k, name in enumerate(("x", "y", "heading"))}
-    columns["sweep_travel"] = scans.travel
-    columns["keyframe"] = _scatter(keyframes, np.arange(len(keyframes)), count, -1).astype(np.int32)
-    columns["anchor"] = _scatter(tracked, anchors, count, -1).astype(np.int32)
-    for k, name in enumerate(("x", "y", "heading")):
-        columns[f"relative_{name}"] = _scatter(tracked, relative[:, k], count, 0.0)
-    upper = informations[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]]
-    for k, name in enumerate(POSE_ENTRIES):
-        columns[f"information_{name}"] = _scatter(tracked, upper[:, k], count, 0.0)
-    return columns | {"has_features": scans.has_features}
+@dataclass(frozen=True, slots=True, eq=False)
+class _Values:
+    """Values of all n scans, of which m have a pose on the trajectory.
+
+    stamps, travel, has_features  (n,), odometry (n, 3): see `ScanSequence`
+    tracked                       (m,) rows of the scans on the trajectory
+    anchors                       (m,), relative (m, 3), informations (m, 3, 3): see `TrajectoryBuilder`
+    """
+
+    stamps: Floats
+    odometry: Floats
+    travel: Floats
+    has_features: NDArray[np.bool_]
+    tracked: Integers
+    anchors: Integers
+    relative: Floats
+    informations: Floats
+
+    @classmethod
+    def of(cls, records: ScanRecords) -> _Values:
+        """Return the values of the scans of a session."""
+        scans, stamps = records.scans, records.scans.stamps
+        tracked_stamps, anchors, relative, informations = records.trajectory.relative_poses()
+        tracked = _rows_of(tracked_stamps, stamps)
+        return cls(stamps, scans.odometry, scans.travel, scans.has_features, tracked, anchors, relative, informations)
+
+    def columns(self, keyframes: Integers, rows: range) -> dict[str, NDArray[np.generic]]:
+        """Return the columns with one value for each of the scans `rows`; `keyframes` are the rows of keyframes."""
+        some, count = slice(rows.start, rows.stop), len(rows)
+        first, last = np.searchsorted(keyframes, [rows.start, rows.stop]).tolist()
+        begin, end = np.searchsorted(self.tracked, [rows.start, rows.stop]).tolist()
+        tracked = self.tracked[begin:end] - rows.start
+        columns: dict[str, NDArray[np.generic]] = {"stamp": self.stamps[some]}
+        columns |= {f"odometry_{name}": self.odometry[some, k] for k, name in enumerate(("x", "y", "heading"))}
+        columns["sweep_travel"] = self.travel[some]
+        numbers = _scatter(keyframes[first:last] - rows.start, np.arange(first, last), count, -1)
+        columns["keyframe"] = numbers.astype(np.int32)
+        columns["anchor"] = _scatter(tracked, self.anchors[begin:end], count, -1).astype(np.int32)
+        for k, name in enumerate(("x", "y", "heading")):
+            columns[f"relative_{name}"] = _scatter(tracked, self.relative[begin:end, k], count, 0.0)
+        for i, j, name in zip(*UPPER_TRIANGLE, POSE_ENTRIES, strict=True):
+            columns[f"information_{name}"] = _scatter(tracked, self.informations[begin:end, i, j], count, 0.0)
+        return columns | {"has_features": self.has_features[some]}
 
 
 def _columns_of_lists(records: ScanRecords, keyframes: Integers, rows: range) -> dict[str, Ragged]:

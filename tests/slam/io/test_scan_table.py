@@ -1,0 +1,38 @@
+"""Scans of a session as a table."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+
+from slam.io.sessions.scans import ScanRecords, write_scans
+from slam.mapping.trajectory_builder import TrajectoryBuilder
+from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+from slam.preprocessing.scan_sequence import ScanSequence
+
+RECORD = 40 + 112
+"""Bytes of a scan without features, and of its pose on the trajectory."""
+
+
+def records(count: int) -> ScanRecords:
+    """Return the records of scans in a familiar place."""
+    scans, trajectory = ScanSequence(), TrajectoryBuilder()
+    for stamp in map(float, range(count)):
+        scans.append(ProcessedScan(stamp, np.zeros(3), NO_FEATURES, 0.0))
+        trajectory.add(stamp, 0, np.zeros(3), np.eye(3))
+    return ScanRecords(scans, trajectory, [], [])
+
+
+def test_to_write_scans_takes_no_more_memory_than_a_copy_of_their_record(tmp_path: Path) -> None:
+    def needed(count: int) -> int:
+        written = records(count)
+        tracemalloc.start()
+        write_scans(tmp_path / "scans.parquet", written)
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return peak
+
+    needed(10)  # imports
+    assert needed(12_000) - needed(4_000) < 1.1 * RECORD * 8_000
