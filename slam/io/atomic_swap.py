@@ -6,6 +6,8 @@ import ctypes
 import errno
 import os
 import sys
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 AT_FDCWD, RENAME_EXCHANGE = -100, 2
@@ -19,7 +21,7 @@ def swap_directories(first: Path, second: Path) -> bool:
 
     Returns False if the system does not support it. Raises OSError if it does, but the exchange fails.
     """
-    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if sys.platform == "linux" else None
+    rename = _renameat2()
     if rename is None:
         return False
     if rename(AT_FDCWD, os.fsencode(first), AT_FDCWD, os.fsencode(second), RENAME_EXCHANGE) == 0:
@@ -28,6 +30,12 @@ def swap_directories(first: Path, second: Path) -> bool:
     if error in UNSUPPORTED:
         return False
     raise OSError(error, os.strerror(error), str(second))
+
+
+@cache
+def _renameat2() -> Callable[..., int] | None:
+    """Return the function of the C library, None if it has none; a live run needs it at each save."""
+    return getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None) if sys.platform == "linux" else None
 
 
 def exchange_directories(new: Path, target: Path) -> None:

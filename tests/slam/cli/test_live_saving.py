@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import pty
@@ -174,6 +175,24 @@ def test_the_memory_that_a_save_needed_is_returned(tmp_path: Path, monkeypatch: 
         autosave.poll()
         wait_until_saved()
     assert steps == ["written", "released", "returned"]
+
+
+def test_a_save_leaves_no_classes_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They refer to themselves, and a live run looks for such objects once in hours."""
+    monkeypatch.setattr("slam.cli.autosave.PERIOD", 0.0)
+
+    def write(place: Path) -> None:
+        (place / SUMMARY).write_text("{}")
+
+    classes: list[int] = []
+    with (output := OutputDirectory(tmp_path / "map")), Autosave(output, lambda: write, TerminalKeys()) as autosave:
+        gc.disable()
+        for _ in range(4):
+            autosave.poll()
+            wait_until_saved()
+            classes.append(sum(isinstance(thing, type) for thing in gc.get_objects()))
+        gc.enable()
+    assert classes[1] == classes[-1]
 
 
 @pytest.mark.parametrize("duration", [0.0, 7.0, 15.0])
