@@ -30,8 +30,10 @@ class GrowingArray:
         return self._storage[: self._count]
 
     def copy(self) -> GrowingArray:
-        """Return a copy that later changes leave as it is."""
-        return GrowingArray(self._shape, self.rows)
+        """Return a copy that later changes leave as it is. It shares the present rows until either replaces some."""
+        other = GrowingArray(self._shape)
+        other._storage, other._count = self.rows, self._count
+        return other
 
     def replace(self, rows: ArrayLike) -> None:
         """Replace all rows by (n, ...) others, which are copied."""
@@ -49,7 +51,7 @@ class GrowingArray:
     def append(self, row: ArrayLike) -> None:
         """Append a row."""
         if self._count == len(self._storage):
-            self._move(2 * self._count)
+            self._move(max(_INITIAL_CAPACITY, 2 * self._count))
         self._storage[self._count] = row
         self._count += 1
 

@@ -2,6 +2,7 @@
 
 import resource
 import sys
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,31 @@ def test_rows_that_were_read_stay_as_they_were() -> None:
     array.replace(array.rows[::-1])
     np.testing.assert_array_equal(before, [[1.0], [2.0], [3.0]])
     np.testing.assert_array_equal(last, [3.0])
+
+
+@pytest.mark.parametrize("count", [0, 3, 64, 100])
+def test_an_array_and_its_copy_are_independent(count: int) -> None:
+    array = GrowingArray((1,), np.arange(count)[:, None])
+    copy = array.copy()
+    array.append([-1.0])
+    for _ in range(100):
+        copy.append([-2.0])
+    array.append([-3.0])
+    assert array.rows[:, 0].tolist() == [*range(count), -1.0, -3.0]
+    assert copy.rows[:, 0].tolist() == [*range(count), *[-2.0] * 100]
+    again = copy.copy()
+    again.replace_last([[-4.0]])
+    copy.replace_last([[-5.0]])
+    assert (copy.rows[-1, 0], again.rows[-1, 0]) == (-5.0, -4.0)
+
+
+def test_a_copy_takes_no_memory_for_the_rows() -> None:
+    """Each save of a live run copies them, which are more the longer the robot drives."""
+    array = GrowingArray((9,), np.ones((100_000, 9)))
+    tracemalloc.start()
+    copy = array.copy()
+    assert tracemalloc.get_traced_memory()[1] < 0.01 * copy.rows.nbytes
+    tracemalloc.stop()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="resident memory is read from /proc")
