@@ -149,6 +149,12 @@ def test_the_excess_of_single_points_is_the_more_the_farther_the_beams_are_apart
     np.testing.assert_array_equal(kept[::2, 4], kept[1::2, 4])
 
 
+def test_all_of_the_only_return_of_a_scan_is_excess() -> None:
+    """Nothing tells how far the next beam would be; such scans occur where a hall is wider than the lidar's range."""
+    kept = surface_points(np.array([[4.0, 1.0]]), NO_SEGMENTS, SPACING)
+    np.testing.assert_array_equal(kept, [[4.0, 1.0, 0.0, 0.0, 1.0]])
+
+
 def test_points_of_exact_surfaces_have_no_excess() -> None:
     kept = surface_points(outline(ROOM), NO_SEGMENTS, SPACING)
     straight = np.abs(kept[:, 2:4]).max(axis=1) > 0.999
