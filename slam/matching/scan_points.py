@@ -142,8 +142,8 @@ def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-u
     noise = median(across[:found]) / NORMAL_MEDIAN if found else 0.0
     for k in range(count):
         if lines[k] < 0 and not _set_normal(kept, k, noise):
-            slide = _gap_beside(points, rows[k]) ** 2 / 12.0  # infinite if it is the only return
-            kept[k, 4] = 1.0 - FINE_SIGMA**2 / (FINE_SIGMA**2 + slide)
+            variance = _gap_beside(points, rows[k]) ** 2 / 12.0  # infinite if it is the only return
+            kept[k, 4] = 1.0 - FINE_SIGMA**2 / (FINE_SIGMA**2 + variance)
     return kept
 
 
