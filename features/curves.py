@@ -66,8 +66,11 @@ def to_frame(
 @inlined
 def fit_parabola(
     rays: Rays, count: int, begin: int, middle: int, end: int, frame: Frame, settings: Settings
-) -> tuple[float, float, float]:
-    """Return (a, b, c) of y = a + b x + c x^2 through the rays begin..end-1; the second chord begins at `middle`."""
+) -> tuple[float, float, float, float]:
+    """Return (a, b, c) of y = a + b x + c x^2 through the rays begin..end-1; the second chord begins at `middle`.
+
+    The fourth value is the variance of c.
+    """
     s0 = s1 = s2 = s3 = s4 = p = q = r = 0.0
     distances, cosines, sines = rays.range, rays.cos, rays.sin
     for i in range(begin, end):
@@ -81,11 +84,12 @@ def fit_parabola(
         p, q, r = p + w * y, q + wx * y, r + wxx * y
     first, second, third = s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, s1 * s3 - s2 * s2
     determinant = s0 * first + s1 * second + s2 * third
-    cross = s1 * s2 - s0 * s3
+    cross, least = s1 * s2 - s0 * s3, s0 * s2 - s1 * s1
     return (
         (first * p + second * q + third * r) / determinant,
         (second * p + (s0 * s4 - s2 * s2) * q + cross * r) / determinant,
-        (third * p + cross * q + (s0 * s2 - s1 * s1) * r) / determinant,
+        (third * p + cross * q + least * r) / determinant,
+        least / determinant,
     )
 
 
@@ -98,7 +102,7 @@ def chi2_difference(
     line: Floats,
     rise: float,
     frame: Frame,
-    curve: tuple[float, float, float],
+    curve: tuple[float, float, float, float],
     settings: Settings,
 ) -> float:
     """Return the chi-square of rays begin..end-1 about the curve minus that about their line, limited by the gate."""
@@ -134,40 +138,48 @@ def curve_evidence(
     end: int,
     start: int,
     stop: int,
+    least_bend: float,
     settings: Settings,
 ) -> float:
     """Return the evidence against a curve: chi-square of two lines' rays about one curve minus that about the lines.
 
-    It is infinite if an arc of that size would have been split further. Line `first` has the rays begin..end-1 and
-    `second` start..stop-1, which may extend beyond the end of a revolution. Lines are rows of `FeatureBuffers.lines`.
+    It is infinite if an arc of that size would have been split further, and if the curve is a straight wall: because it
+    deviates from one line by less than `least_bend` (metres, root mean square), or because it decreases the chi-square
+    of that line by less than the penalty. Line `first` has the rays begin..end-1 and `second` start..stop-1, which
+    may extend beyond the end of a revolution. Lines are rows of `FeatureBuffers.lines`.
     """
     frame = chord_frame(first, second)
     lengths = math.hypot(first[8] - first[6], first[9] - first[7])
     lengths += math.hypot(second[8] - second[6], second[9] - second[7])
     # an arc turns by the angle between the chords from the middle of one to the middle of the other
     curvature = 4.0 * math.atan(abs(frame.rise)) / lengths
+    if math.sqrt(ARC_MEAN_SQUARE) * lengths * lengths * curvature / 8.0 < least_bend:
+        return math.inf
     undivided = UNDIVIDED_FACTOR * settings.penalty
     if not (arc_chi2(first, end - begin, curvature, settings) < undivided):
         return math.inf
     if not (arc_chi2(second, stop - start, curvature, settings) < undivided):
         return math.inf
     curve = fit_parabola(rays, count, begin, start, stop, frame, settings)
+    if not (curve[2] ** 2 > settings.penalty * curve[3]):
+        return math.inf
     evidence = chi2_difference(rays, count, begin, end, first, -frame.rise, frame, curve, settings)
     evidence += chi2_difference(rays, count, start, stop, second, frame.rise, frame, curve, settings)
     return evidence if math.isfinite(evidence) else math.inf
 
 
 @inlined
-def remove_curve_corners(corners: Floats, pairs: Integers, curved: Flags, corner_count: int) -> int:
-    """Remove corners on curves, mark lines that are chords in `curved`, and return the number of corners left.
+def remove_curve_corners(corners: Floats, pairs: Integers, curved: Flags, count: int) -> int:
+    """Mark the lines that are chords in `curved`, keep the corners that are on no curve, and return how many.
 
-    The last column of `corners` is the evidence against a curve. Next to a known chord a corner needs more evidence,
-    because curves rarely consist of only two chords.
+    corners, pairs  as in `FeatureBuffers`, `count` rows
+
+    Next to a known chord lines need more evidence against a curve, because curves rarely consist of only two chords.
     """
     marked = True
     while marked:
         marked = False
-        for k in range(corner_count):
+        for k in range(count):
             before, after = pairs[k, 0], pairs[k, 1]
             if curved[before] and curved[after]:
                 continue
@@ -175,9 +187,10 @@ def remove_curve_corners(corners: Floats, pairs: Integers, curved: Flags, corner
                 curved[before] = curved[after] = True
                 marked = True
     kept = 0
-    for k in range(corner_count):
+    for k in range(count):
         before, after = pairs[k, 0], pairs[k, 1]
-        if corners[k, -1] < (MIN_EVIDENCE_AT_CHORD if curved[before] or curved[after] else 0.0):
+        evidence = corners[k, -1] - (MIN_EVIDENCE_AT_CHORD if curved[before] or curved[after] else 0.0)
+        if evidence < 0.0 or math.isnan(corners[k, 0]):
             continue
         for column in range(corners.shape[1]):
             corners[kept, column] = corners[k, column]

@@ -13,8 +13,8 @@ class FeatureBuffers(NamedTuple):
     lines            u, v, Cuu, Cuv, Cuv, Cvv, start x, y, end x, y, chi2, variance of the end's bearing
     spans            first beam, last beam, rays used, first ray, last ray (see rays)
     curved           true if a line is a chord of a curved surface
-    corners          x, y, Cxx, Cxy, Cxy, Cyy, evidence against a curve (see curves)
-    pairs            line before, line after
+    corners          of two neighbouring lines: x, y, Cxx, Cxy, Cxy, Cyy, evidence against a curve (see curves)
+    pairs            line before, line after, of each row of `corners`
     noise            of a long segment: the values of a NoiseEstimate
     """
 

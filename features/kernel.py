@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from .compiled import compiled, inlined
-from .corner_search import find_corner
+from .corner_search import add_pair
 from .curves import remove_curve_corners
 from .estimators import MAXIMUM_LIKELIHOOD, fit_by_code
 from .feature_buffers import FeatureBuffers, NoiseEstimate
@@ -214,12 +214,12 @@ def extract_features(
     # gains and prefix sums are not needed any more; their memory is used for the rays of one segment at a time
     buffer = RaySlice(gains, rays.prefix[0], rays.prefix[1])
     lines, estimates = fit_segments(rays, count, segments, segment_count, buffer, settings, output)
-    corners = 0
+    pairs = 0
     for after in range(lines):
         before = after - 1 if after > 0 else lines - 1
-        if before != after and find_corner(rays, count, step, output, before, after, settings, corners):
-            corners += 1
-    corners = remove_curve_corners(output.corners, output.pairs, output.curved, corners)
+        if before != after and add_pair(rays, count, step, output, before, after, settings, pairs):
+            pairs += 1
+    corners = remove_curve_corners(output.corners, output.pairs, output.curved, pairs)
     estimate = NoiseEstimate(
         *median_estimate(output.noise, estimates, 0),
         *median_estimate(output.noise, estimates, 2),

@@ -219,14 +219,32 @@ def test_round_column_has_no_corners(radius: float, sigma: float) -> None:
     assert corners <= 1  # two to four in each scan without the test for curves
 
 
-def test_lines_on_an_arc_are_marked_as_curved() -> None:
-    """In a round room all lines are chords."""
-    angles = np.linspace(-np.pi, np.pi, 900, endpoint=False)
-    features = extract(scan_of(lambda a: np.full_like(a, 3.0), angles), angles)
-    assert len(features.corners) == 0
-    assert len(features.lines) >= 6
-    # neighbours at 11 degrees or less are not tested, as they cannot form a corner
-    assert features.lines.curved.mean() > 0.4
+@pytest.mark.parametrize("sigma", [0.002, 0.005, 0.01])
+@pytest.mark.parametrize("radius", [3.0, 8.0])
+def test_lines_on_an_arc_are_marked_as_curved(radius: float, sigma: float) -> None:
+    """In a round room all lines are chords, also those at angles of a few degrees, which form no corner."""
+    angles, random = np.linspace(-np.pi, np.pi, 900, endpoint=False), np.random.default_rng(1)
+    extractor = Extractor(Noise(0.01, np.radians(0.05)))
+    scans = [extractor.extract(radius + random.normal(0.0, sigma, len(angles)), angles) for _ in range(10)]
+    for features in scans[5:]:  # the noise has been learned
+        assert len(features.corners) == 0
+        assert len(features.lines) >= 6
+        assert features.lines.curved.mean() > 0.95
+
+
+@given(
+    gap=st.floats(0.1, 0.6),
+    offset=st.floats(1.0, 4.0),
+    sigma=st.sampled_from([0.002, 0.01, 0.02]),
+    seed=st.integers(0, 1000),
+)
+@settings(max_examples=30, deadline=None)
+def test_parts_of_a_wall_beside_a_gap_are_no_chords(gap: float, offset: float, sigma: float, seed: int) -> None:
+    """One straight line explains both as well as a curve does."""
+    angles = np.linspace(-1.2, 1.2, 500)
+    ranges = offset / np.cos(angles) + np.random.default_rng(seed).normal(0.0, sigma, len(angles))
+    ranges[np.abs(offset * np.tan(angles)) < 0.5 * gap] = np.nan
+    assert not extract(ranges, angles, Noise(sigma, np.radians(0.05))).lines.curved.any()
 
 
 def test_lines_of_boxes_are_not_marked_as_curved(simulate: Callable[..., object]) -> None:
