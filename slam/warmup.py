@@ -40,8 +40,8 @@ from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
 from .matching.distance_field import DistanceField
 from .matching.line_matcher import ScanFeatures
-from .matching.point_matcher import POINT_SPACING, Prediction, match_points
-from .matching.scan_points import ScanPoints, surface_points
+from .matching.point_matcher import Prediction, match_points
+from .matching.scan_points import ScanPoints
 from .odometry.error_model import OdometryModel
 from .pipeline import Slam
 from .preprocessing.extraction import is_compiled
@@ -249,7 +249,7 @@ def _match_beside_person() -> None:
     no_segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
     scan = ScanFeatures(no_segments, no_corners, ScanPoints(person))
     field = DistanceField.empty(np.zeros(2))
-    field.insert(np.zeros(3), surface_points(scan.points.xy, no_segments, POINT_SPACING))
+    field.insert(np.zeros(3), scan.surface_points())
     odometry = Prediction(np.array([0.4, 0.0, 0.0]), np.diag([1e3, 1e3, 1e3]))
     slip = Prediction(np.zeros(3), np.diag([1e2, 1e2, 1e2]))
     target = MatchTarget(empty_local_map(), field, 0.0)

@@ -13,8 +13,7 @@ from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..localisation.tracking import TrackingResult
 from ..mapping.keyframes import KeyframeMotion, PointMotion
-from ..matching.point_matcher import INDEPENDENT_SHARE, POINT_SPACING, PointMatch, point_information
-from ..matching.scan_points import surface_points
+from ..matching.point_matcher import INDEPENDENT_SHARE, PointMatch, point_information
 from ..matching.shared_points import split_information
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_selection import learn_motion
@@ -58,7 +57,7 @@ def point_motions_of(state: SlamState, scan: ProcessedScan, tracking: TrackingRe
     references = field.references(state.pose)
     if not references:
         return []
-    points = surface_points(scan.features.points.xy, scan.features.segments, POINT_SPACING)
+    points = scan.features.surface_points()
     relatives = [se2.between(pose, registration.point_pose) for _, pose in references]
     of_references = [field.points(keyframe) for keyframe, _ in references]
     parts = split_information(registration.point_information, of_references, points, relatives)

@@ -16,8 +16,6 @@ from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import ScanFeatures
-from ..matching.point_matcher import POINT_SPACING
-from ..matching.scan_points import surface_points
 from .field_successor import FieldSuccessor, FieldSuccessorState
 
 # Metres from the middle of the field at which its successor is begun. Origin: chosen, a small part of its half width;
@@ -140,7 +138,7 @@ class LocalField:
         if undetermined > 0.0:
             self._gaps[len(self._points)] = MAX_PATH * min(1.0, undetermined)
             self._outdated = True
-        self._points.append(surface_points(scan.points.xy, scan.segments, POINT_SPACING).astype(np.float32))
+        self._points.append(scan.surface_points().astype(np.float32))
 
     def ways(self, travelled: Sequence[float]) -> Floats:
         """Return the metres (k,) driven up to each keyframe, with what is undetermined of the way; see `add`."""

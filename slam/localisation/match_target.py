@@ -21,14 +21,12 @@ from ..matching.point_matcher import (
     KERNEL,
     MIN_FIT,
     MIN_KNOWN_POINTS,
-    POINT_SPACING,
     SEARCH_FIT,
     PointMatch,
     Prediction,
     match_points,
     point_cost,
 )
-from ..matching.scan_points import surface_points
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,4 +108,4 @@ class MatchTarget:
 @lru_cache(maxsize=1)  # a scan is matched with several fields in a row
 def points_of(scan: ScanFeatures) -> Floats:
     """Return the points (p, 5) of a scan that are matched, with their normals; not to be changed."""
-    return surface_points(scan.points.xy, scan.segments, POINT_SPACING)
+    return scan.surface_points()

@@ -24,7 +24,7 @@ from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..matching.line_matcher import ScanFeatures
 from ..matching.point_costs import COARSE_SIGMA, costs_of_points
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
-from ..matching.scan_points import ScanPoints, segments_of, surface_points
+from ..matching.scan_points import ScanPoints, segments_of
 from .match_target import MatchTarget, ScanMatch, points_of
 
 # Cost of an object having moved since it was mapped, a few metres before. Origin: chosen, one small object in five is
@@ -86,7 +86,7 @@ def _on_walls(points: Floats, segments: Segments) -> NDArray[np.bool_]:
 def without_points(scan: ScanFeatures, removed: NDArray[np.bool_]) -> ScanFeatures:
     """Return a scan without some of its points (p,), and without the segments and corners that lie on these."""
     points, segments, corners = scan.points, scan.segments, scan.corners
-    rows = segments_of(surface_points(points.xy, segments, 0.0), segments)
+    rows = segments_of(points.xy, segments)
     removed_on, on = (np.bincount(rows[of] + 1, minlength=len(segments) + 1)[1:] for of in (removed, slice(None)))
     stays = 2 * removed_on <= on
     corner_stays = stays[corners.segments].all(axis=1)
@@ -101,7 +101,7 @@ def without_points(scan: ScanFeatures, removed: NDArray[np.bool_]) -> ScanFeatur
             (np.cumsum(stays) - 1)[corners.segments[corner_stays]],
             corners.headings[corner_stays],
         ),
-        points=ScanPoints(points.xy[~removed]),
+        points=ScanPoints(points.xy[~removed], points.sigma),
     )
 
 

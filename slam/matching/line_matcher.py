@@ -23,7 +23,8 @@ from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE
-from .scan_points import FINE_SIGMA, ScanPoints, segments_of
+from .point_matcher import POINT_SPACING
+from .scan_points import FINE_SIGMA, ScanPoints, segments_of, surface_points
 
 # Metres across a wall between it and a segment, for each Gauss-Newton step; also between two
 # corners. Origin: tuned on Intel, fr079, CSAIL.
@@ -71,6 +72,10 @@ class ScanFeatures:
     corners: CornerPoints
     points: ScanPoints
     sweep_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
+
+    def surface_points(self) -> Floats:
+        """Return the points (q, 5) that are matched, with normals, see `scan_points.surface_points`."""
+        return surface_points(self.points.xy, self.segments, POINT_SPACING, self.points.sigma)
 
 
 def register(

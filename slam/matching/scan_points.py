@@ -50,14 +50,17 @@ NORMAL_MEDIAN = 0.4549
 class ScanPoints:
     """Points of one scan in the base's frame.
 
+    sigma  metres: standard deviation of a range by the noise of the lidar, as learned from earlier scans; 0 if unknown
+
     They are stored as multiples of POINT_UNIT to save memory: all scans of a drive are kept, and most of the memory of
     a scan is that of its points.
     """
 
-    __slots__ = ("_units",)
+    __slots__ = ("_units", "sigma")
 
-    def __init__(self, xy: Floats) -> None:
+    def __init__(self, xy: Floats, sigma: float = 0.0) -> None:
         """Round points (p, 2), metres. Coordinates beyond MAX_POINT_UNITS are clipped."""
+        self.sigma = float(np.float32(sigma))  # as sessions store it
         self._units = _in_units(np.ascontiguousarray(xy))  # strided ones would be compiled for separately
 
     @property
@@ -81,20 +84,22 @@ def subsample(points: Floats, max_count: int) -> Floats:
     return points[:: max(1, -(-len(points) // max_count))]
 
 
-def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats:
+def surface_points(points: Floats, segments: Segments, spacing: float, sigma: float = 0.0) -> Floats:
     """Return (q, 5) the points to be matched, in the base's frame: x, y, normal [x, y] of the surface, excess.
 
     points    (p, 2) returns of one scan in the base's frame, in the order of the beams, counter-clockwise
     segments  of the same scan
     spacing   metres; a beam that ends nearer than this to the one kept before hits the same piece of the same surface
               and shares its errors, so it is left out
+    sigma     of a range, see `ScanPoints`
 
     A point on the line of a segment, as far beyond its ends as the segment is long, has the segment's normal: the last
     returns from a corridor's walls move with the robot. Another point has the normal of a line through its neighbours,
     or zero where these are on no line, as at corners and on clutter. They are on a line if they scatter little across
-    it compared with along it, or no more than points do across the segments of the scan. Normals have length 1 and
-    point to the lidar: to the left of the direction in which the beams move along the surface, wherever the lidar is
-    mounted.
+    it compared with along it, or no more than noise explains. That is the scatter of points across the segments of the
+    scan, but the fewer of its points are on segments, the more the noise of the lidar, if it is larger. Normals have
+    length 1 and point to the lidar: to the left of the direction in which the beams move along the surface, wherever
+    the lidar is mounted.
 
     The excess is information that a point seems to have, and has not, relative to that of a point along its normal.
     It is zero on segments, and where there are enough neighbours that are on no line. Else:
@@ -110,7 +115,7 @@ def surface_points(points: Floats, segments: Segments, spacing: float) -> Floats
     - All information is excess if the neighbours scatter no more than noise explains, and still show no line.
     """
     points = np.ascontiguousarray(points)  # subsampled ones would be compiled for separately
-    return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing))
+    return np.asarray(_surface_points(points, segments.frame, segments.half_length, spacing, sigma))
 
 
 def segments_of(points: Floats, segments: Segments) -> Integers:
@@ -119,7 +124,7 @@ def segments_of(points: Floats, segments: Segments) -> Integers:
 
 
 @compiled
-def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-untyped-def]
+def _surface_points(points, frames, half_lengths, spacing, sigma):  # type: ignore[no-untyped-def]
     kept, rows, count = np.zeros((len(points), 5)), np.empty(len(points), np.int64), 0
     for k in range(len(points)):
         if count:
@@ -140,6 +145,7 @@ def _surface_points(points, frames, half_lengths, spacing):  # type: ignore[no-u
                 across[found] = (axes[line, 0] * dy - axes[line, 1] * dx) ** 2
                 found += 1
     noise = median(across[:found]) / NORMAL_MEDIAN if found else 0.0
+    noise += (1.0 - found / max(1, count)) * max(0.0, sigma * sigma - noise)
     for k in range(count):
         if lines[k] < 0 and not _set_normal(kept, k, noise):
             variance = _gap_beside(points, rows[k]) ** 2 / 12.0  # infinite if it is the only return
@@ -182,7 +188,7 @@ def _set_normal(points, k, noise):  # type: ignore[no-untyped-def]
     """Set normal and excess of point k of (q, 5) from its neighbours within NORMAL_RADIUS, if they are on a line.
 
     The line has the direction of the larger eigenvector of the neighbours' covariance. Returns False if there are not
-    enough of them to tell. `noise` is the variance of points across the segments of the scan.
+    enough of them to tell. `noise` is the variance of points across a surface by noise.
     """
     n, x, y, xx, xy, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
     beams_x, beams_y = 0.0, 0.0  # direction in which the ends of successive beams move along the surface

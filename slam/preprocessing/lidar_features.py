@@ -38,7 +38,8 @@ class ExtractedScan:
         segments, corners, sweep_covariance = add_motion_uncertainty(
             segments, corners, lines, self.deskewed, model, self.features.noise, mount
         )
-        return ScanFeatures(segments, corners, _points(self.deskewed, mount), sweep_covariance)
+        points = _points(self.deskewed, mount, self.features.noise.sigma_range)
+        return ScanFeatures(segments, corners, points, sweep_covariance)
 
     def moved_to(self, reference: DeskewedScan, model: OdometryModel) -> ExtractedScan:
         """Return the scan as if it belonged to the stamp of another one; odometry says how the base has moved.
@@ -75,14 +76,17 @@ class LidarFeatures:
         return ExtractedScan(deskewed, features.without_chords(), mount)
 
 
-def _points(scan: DeskewedScan, mount: se2.Pose) -> ScanPoints:
-    """Return the valid returns of a scan in the base's frame; of many, every k-th, see MAX_SCAN_POINTS."""
+def _points(scan: DeskewedScan, mount: se2.Pose, sigma: float) -> ScanPoints:
+    """Return the valid returns of a scan in the base's frame; of many, every k-th, see MAX_SCAN_POINTS.
+
+    sigma  of a range, see `ScanPoints`
+    """
     valid = np.isfinite(scan.ranges)
     ranges, bearings = scan.ranges[valid], scan.bearings[valid]
     points = np.empty((len(ranges), 2))  # np.column_stack takes three times as long
     np.multiply(ranges, np.cos(bearings), out=points[:, 0])
     np.multiply(ranges, np.sin(bearings), out=points[:, 1])
-    return ScanPoints(se2.transform(mount, subsample(points, MAX_SCAN_POINTS)))
+    return ScanPoints(se2.transform(mount, subsample(points, MAX_SCAN_POINTS)), sigma)
 
 
 def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:
@@ -103,5 +107,5 @@ def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:
         np.concatenate([first.corners.segments, other_corners.segments + len(first.segments)]),
         np.concatenate([first.corners.headings, other_corners.headings]),
     )
-    points = np.concatenate([first.points.xy, second.points.xy])
-    return ScanFeatures(segments, corners, ScanPoints(points), first.sweep_covariance)
+    points, sigma = np.concatenate([first.points.xy, second.points.xy]), max(first.points.sigma, second.points.sigma)
+    return ScanFeatures(segments, corners, ScanPoints(points, sigma), first.sweep_covariance)

@@ -24,8 +24,7 @@ from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.bias_correction import correct_range_bias_of_scans
 from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures
-from ...matching.point_matcher import KERNEL, POINT_SPACING, PointMatch, Prediction
-from ...matching.scan_points import surface_points
+from ...matching.point_matcher import KERNEL, PointMatch, Prediction
 from ...odometry.error_model import OdometryModel
 from ...odometry.velocity import ScanClock
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
@@ -199,7 +198,7 @@ class FullMapMatcher:
         """Return the points (p, 5) of a keyframe with their normals: it is in several fields."""
         if keyframe not in self._points:
             scan = self._history.scans[self._history.keyframes[keyframe]].features
-            self._points[keyframe] = surface_points(scan.points.xy, scan.segments, POINT_SPACING)
+            self._points[keyframe] = scan.surface_points()
         return self._points[keyframe]
 
 

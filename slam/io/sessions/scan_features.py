@@ -28,6 +28,8 @@ CORNER_COLUMNS = ("x", "y", "xx", "xy", "yy")
 POINT_COLUMNS = ("point_x", "point_y")
 SWEEP_COLUMN = "sweep_covariance"
 """Upper triangles of the sweep covariances. Earlier versions had them in the covariances of segments and corners."""
+SIGMA_COLUMN = "point_sigma"
+"""Standard deviations of the ranges of points. Earlier versions had none."""
 UPPER_TRIANGLE = np.triu_indices(3)
 # Share of a covariance's trace by which an eigenvalue may be negative, as entries are rounded. Origin: numerical, some
 # units of single precision.
@@ -51,6 +53,7 @@ def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, 
     for k, name in enumerate(("before", "after")):
         columns[f"corner_{name}"] = to_ragged([scan.corners.segments[:, k] for scan in scans], np.int32)
     columns[SWEEP_COLUMN] = to_ragged([scan.sweep_covariance[UPPER_TRIANGLE] for scan in scans], dtype)
+    columns[SIGMA_COLUMN] = to_ragged([np.array([scan.points.sigma]) for scan in scans], np.float32)
     return columns | _point_columns([scan.points.xy for scan in scans], exact=exact)
 
 
@@ -86,6 +89,7 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
     corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS)))
     pairs = split_rows(*table.ragged_integers("corner_before", "corner_after"))
     points, sweeps = _read_points(table, exact=exact), _read_sweep_covariances(table, file)
+    sigmas = _read_sigmas(table, file)
     contiguous = np.ascontiguousarray  # as in a run: compiled functions need not be compiled for another layout
     scans = []
     for name, rows, first in (("segment", segments, 4), ("corner", corners, 2)):
@@ -110,7 +114,7 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
                     pairs[row],
                     frame[pairs[row], 2].reshape(-1, 2),
                 ),
-                ScanPoints(points[row]),
+                ScanPoints(points[row], sigmas[row]),
                 sweeps[row],
             )
         )
@@ -131,6 +135,18 @@ def _read_sweep_covariances(table: TableReader, file: Path) -> Floats:
     if (np.linalg.eigvalsh(covariances) < -ROUNDED * np.trace(covariances, axis1=1, axis2=2)[:, None]).any():
         raise MapError(f"{file}: a sweep covariance has a negative variance")
     return covariances
+
+
+def _read_sigmas(table: TableReader, file: Path) -> list[float]:
+    """Return the standard deviations of the ranges of points, 0 for scans without. Raises MapError naming the file."""
+    if SIGMA_COLUMN not in table:
+        return [0.0] * len(table)
+    values, lengths = table.ragged_floats(SIGMA_COLUMN)
+    if lengths.max(initial=0) > 1 or (values < 0.0).any():
+        raise MapError(f"{file}: a standard deviation of points is negative, or there are several for one scan")
+    sigmas = np.zeros(len(table))
+    sigmas[lengths > 0] = values[:, 0]
+    return sigmas.tolist()
 
 
 def _read_points(table: TableReader, *, exact: bool) -> list[Floats]:

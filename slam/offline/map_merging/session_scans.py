@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from ...estimation.refinement.scan_history import ScanHistory
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
-from ...matching.point_matcher import POINT_SPACING
-from ...matching.scan_points import surface_points
 from ...recognition.map_descriptor import express_in_frame
 from ...recognition.map_index import index_map
 from ...recognition.scanned_map import ScannedDrive, ScannedMap, scan_drive, scan_map, scan_submap
@@ -40,4 +38,4 @@ def drive_of(session: StoredSession) -> ScannedDrive:
 def _keyframe_points(history: ScanHistory) -> Sequence[Floats]:
     """Return the points (p, 5) of each keyframe with their normals, in its frame."""
     features = [history.scans[row].features for row in history.keyframes]
-    return [surface_points(some.points.xy, some.segments, POINT_SPACING) for some in features]
+    return [some.surface_points() for some in features]

@@ -121,6 +121,7 @@ def test_scans_are_read_back(written: tuple[StoredSession, Path]) -> None:
         np.testing.assert_array_equal(after.corners.segments, before.corners.segments)
         np.testing.assert_allclose(se2.wrap(after.corners.headings - before.corners.headings), 0, atol=1e-6)
         np.testing.assert_allclose(after.points.xy, before.points.xy, atol=6e-4)
+        assert after.points.sigma == before.points.sigma
         np.testing.assert_allclose(after.sweep_covariance, before.sweep_covariance, rtol=1e-6)
     assert history.sweep_covariances.any()
     for row in expected.keyframes[-5:]:  # the next scans will be matched to these
@@ -130,14 +131,16 @@ def test_scans_are_read_back(written: tuple[StoredSession, Path]) -> None:
         np.testing.assert_array_equal(after.sweep_covariance, before.sweep_covariance)
 
 
-def test_scans_of_earlier_versions_have_no_sweep_covariance(
+def test_scans_of_earlier_versions_have_no_sweep_covariance_and_no_noise_of_points(
     written: tuple[StoredSession, Path], tmp_path: Path
 ) -> None:
     """The errors of the sweep were part of the covariances of their segments and corners."""
     path = shutil.copytree(written[1], tmp_path / "out")
     for file in (path / SESSION / SCANS, path / SESSION / RECENT_KEYFRAMES):
-        pq.write_table(pq.read_table(file).drop_columns(["sweep_covariance"]), file)
-    assert not read_session(path).scan_history().sweep_covariances.any()
+        pq.write_table(pq.read_table(file).drop_columns(["sweep_covariance", "point_sigma"]), file)
+    history = read_session(path).scan_history()
+    assert not history.sweep_covariances.any()
+    assert not any(scan.features.points.sigma for scan in history.scans)
 
 
 def test_scans_are_the_same_in_any_number_of_groups(

@@ -149,6 +149,18 @@ def test_the_excess_of_single_points_is_the_more_the_farther_the_beams_are_apart
     np.testing.assert_array_equal(kept[::2, 4], kept[1::2, 4])
 
 
+def test_noise_is_no_structure_in_a_scan_without_segments() -> None:
+    """A round hall, seen by a dense and noisy lidar: noise may hide the normal of its wall, and shows nothing else."""
+    angles = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)
+    noise, unexplained = 0.02, {}
+    ranges = 3.0 + noise * np.random.default_rng(1).normal(size=400)
+    points = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles)])
+    for sigma in (0.0, noise):
+        kept = surface_points(points, NO_SEGMENTS, SPACING, sigma)
+        unexplained[sigma] = float(np.mean(~kept[:, 2:4].any(axis=1) & (kept[:, 4] < 0.5)))
+    assert unexplained[noise] < 0.05 < unexplained[0.0]
+
+
 def test_all_of_the_only_return_of_a_scan_is_excess() -> None:
     """Nothing tells how far the next beam would be; such scans occur where a hall is wider than the lidar's range."""
     kept = surface_points(np.array([[4.0, 1.0]]), NO_SEGMENTS, SPACING)
