@@ -1,7 +1,8 @@
 """A known map with the points of its scans, and a drive in submaps that is searched for in it.
 
 Points are grouped by square cells. A cell is the unit of evidence: its points lie on one object or on one stretch of
-wall, and fit another map together or not at all.
+wall, and fit another map together or not at all. Points on long walls are a cell, and the others in the square are
+another one: what stands at a wall changes without the wall.
 """
 
 from __future__ import annotations
@@ -23,12 +24,15 @@ from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
 from ..matching.point_costs import points_cost
+from ..matching.scan_points import lines_of
 from .map_descriptor import MapDescriptor
 from .map_index import MapIndex, index_map
 
 # Metres, side of a cell: the width of a door, or of a piece of furniture. Origin: chosen, with 2 m the walls of a
 # single room are too few cells to decide by.
 EVIDENCE_CELL = 1.0
+# Metres of a wall that is not a piece of furniture. Origin: chosen, longer than usual tables and cupboards.
+MIN_WALL_LENGTH = 3.0
 # Metres between points that are kept of each surface, so that evidence does not depend on how often it was seen.
 # Origin: chosen, two cells of a distance field; not measured.
 THINNED_SPACING = 0.1
@@ -41,7 +45,10 @@ MAX_RELATION_DISTANCE = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellPoints:
-    """Points (p, 5) with normals, in the order of the numbers (p,) of the cells of the map in which they lie."""
+    """Points (p, 5) with normals, in the order of the numbers (p,) of the cells of the map in which they lie.
+
+    Numbers of cells on long walls are odd, see `are_on_walls`.
+    """
 
     points: Floats
     cells: Integers
@@ -140,7 +147,7 @@ def scan_map(
     field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + FIELD_MARGIN)
     field.insert_scans(poses, points)
     grid = _CellGrid.of(low, high, cell)
-    return ScannedMap(index, field, grid.sort(thin(moved), np.zeros(3)), grid.count)
+    return ScannedMap(index, field, grid.sort(thin(moved), np.zeros(3), index.descriptor), grid.count)
 
 
 def scan_keyframes(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.bool_]) -> ScannedMap:
@@ -168,8 +175,16 @@ def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDEN
     poses = [mapper.keyframe_poses[scan.keyframes[-1]] for scan in scans]
     moved = [_transform(pose, scan.points)[:, :2] for pose, scan in zip(poses, scans, strict=True)]
     grid = _CellGrid.of(*_bounds(np.concatenate([np.array(poses)[:, :2], *moved])), cell)
-    placed = [PlacedSubmap(scan, pose, grid.sort(scan.points, pose)) for scan, pose in zip(scans, poses, strict=True)]
+    placed = [
+        PlacedSubmap(scan, pose, grid.sort(scan.points, pose, scan.descriptor))
+        for scan, pose in zip(scans, poses, strict=True)
+    ]
     return ScannedDrive(placed, grid.count, _relations(mapper, placed))
+
+
+def are_on_walls(count: int) -> NDArray[np.bool_]:
+    """Return (count,) which of the cells of a map, by their numbers, have the points on long walls."""
+    return np.asarray(np.arange(count) % 2 == 1)
 
 
 def thin(points: Floats) -> Floats:
@@ -187,7 +202,7 @@ def thin(points: Floats) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _CellGrid:
-    """Cells of a map: lower corner (2,) of the first one, their number along x and y (2,), and their side, metres."""
+    """Squares of a map: lower corner (2,) of the first one, their number along x and y (2,), and their side, metres."""
 
     origin: Floats
     shape: Integers
@@ -195,20 +210,22 @@ class _CellGrid:
 
     @classmethod
     def of(cls, low: Floats, high: Floats, side: float) -> _CellGrid:
-        """Return the cells of the points between two corners (2,); they stay the same if the map grows."""
+        """Return the squares of the points between two corners (2,); they stay the same if the map grows."""
         origin = np.floor(low / side) * side
         return cls(origin, np.floor((high - origin) / side).astype(np.int64) + 1, side)
 
     @property
     def count(self) -> int:
-        """Number of cells."""
-        return int(self.shape.prod())
+        """Number of cells, two for each square."""
+        return 2 * int(self.shape.prod())
 
-    def sort(self, points: Floats, pose: se2.Pose) -> CellPoints:
-        """Return points (p, 5) in a frame at `pose` in the map, in the order of their cells."""
-        cells = np.floor((_transform(pose, points)[:, :2] - self.origin) / self.side).astype(np.int64)
-        cells = np.clip(cells, 0, self.shape - 1)
-        numbers = cells[:, 0] * self.shape[1] + cells[:, 1]
+    def sort(self, points: Floats, pose: se2.Pose, walls: MapDescriptor) -> CellPoints:
+        """Return points (p, 5) in a frame at `pose` in the map, in the order of their cells; `walls` in the frame."""
+        squares = np.floor((_transform(pose, points)[:, :2] - self.origin) / self.side).astype(np.int64)
+        squares = np.clip(squares, 0, self.shape - 1)
+        long = 2.0 * walls.half_length > MIN_WALL_LENGTH
+        on_wall = lines_of(points, walls.frame[long], walls.half_length[long]) >= 0
+        numbers = 2 * (squares[:, 0] * self.shape[1] + squares[:, 1]) + on_wall
         order = np.argsort(numbers, kind="stable")
         return CellPoints(np.ascontiguousarray(points[order]), numbers[order])
 

@@ -1,4 +1,4 @@
-"""Drives through worlds whose places look alike that end earlier than in the benchmark."""
+"""Simulated worlds for tests: drives that end earlier than in the benchmark, and a room that is not symmetric."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from drivers.simulation import Simulation
+from drivers.simulation import Simulation, World, build_world, load_world_file
+from drivers.simulation.world import Box
 from slam.evaluation.benchmarks.lookalike import simulation_of
 
 
@@ -19,3 +20,10 @@ def limit_drives(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
         return simulation
 
     monkeypatch.setattr("slam.evaluation.benchmarks.lookalike.simulation_of", limited)
+
+
+def furnished_room() -> World:
+    """Return the room with a cupboard at one of its walls, which tells it from the room turned by 180 degrees."""
+    content = load_world_file("room")
+    cupboard = Box(at=(6.1, 2.1), size=(0.5, 1.2))
+    return build_world("furnished", content.model_copy(update={"boxes": [*content.boxes, cupboard]}))

@@ -31,6 +31,7 @@ from slam.offline.map_diff import ChangeKind
 from slam.offline.map_diff.plan import compare_with_plan, survey_plan
 
 from .listeners import EventCollector
+from .simulated_worlds import furnished_room
 
 FEW_BEAMS = LidarModel(beams=360)
 SIGMAS = (0.03, np.radians(0.3))
@@ -119,12 +120,12 @@ def test_a_map_is_recognised_in_a_plan_and_is_in_its_frame(
 @pytest.fixture(scope="module")
 def short_drive() -> list[Message]:
     """Return a drive through a room whose walls are on borders of the cells of distance fields, two of them at 0."""
-    return list(Simulation("room", seed=0, duration=15.0, lidar=FEW_BEAMS))
+    return list(Simulation(furnished_room(), seed=0, duration=15.0, lidar=FEW_BEAMS))
 
 
 def moved_room(motion: se2.Pose) -> PlanMap:
     """Return the plan of the room in another frame."""
-    segments = se2.transform(motion, load_world("room").segments.reshape(-1, 2, 2))
+    segments = se2.transform(motion, furnished_room().segments.reshape(-1, 2, 2))
     return build_plan_map(Plan("room", segments, np.zeros(len(segments), dtype=bool), 1e-3), SIGMAS)
 
 

@@ -24,6 +24,8 @@ from slam.mapping.part_gauge import PartGauge
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 
+from ..simulated_worlds import furnished_room
+
 LOST_AT, DURATION = 10.0, 60.0  # seconds of a drive through a room
 ROBOT = LidarModel(beams=240, rate=4.0)
 
@@ -40,6 +42,12 @@ def drive() -> list[Message]:
 @pytest.fixture(scope="module")
 def scans(drive: list[Message]) -> list[ProcessedScan]:
     return process(drive)
+
+
+@pytest.fixture(scope="module")
+def furnished_drive() -> list[Message]:
+    """Drive through the room with a cupboard at one of its walls."""
+    return list(Simulation(furnished_room(), seed=1, duration=DURATION, lidar=ROBOT))
 
 
 @pytest.fixture(scope="module")
@@ -107,14 +115,13 @@ def test_a_robot_that_was_carried_is_not_joined_at_an_ambiguous_place(bare_scans
     assert len(estimator.state.trajectory) == len(scans)
 
 
-def test_a_robot_that_was_carried_is_joined_by_what_distinguishes_the_place(
-    scans: list[ProcessedScan], drive: list[Message]
-) -> None:
+def test_a_robot_that_was_carried_is_joined_by_what_distinguishes_the_place(furnished_drive: list[Message]) -> None:
     """Some furniture tells the room from the room turned by 180 degrees, wherever odometry has put the robot."""
+    scans = process(furnished_drive)
     estimator, joined = lose(scans[: len(scans) // 2], np.array([3.0, -2.0, 1.0]), kidnapped=True)
     assert joined == estimator.state.mapper.landmarks.parts.firsts[1:]
     assert len(joined) == 1
-    assert position_errors(estimator, drive).max() < 0.03
+    assert position_errors(estimator, furnished_drive).max() < 0.03
 
 
 def test_a_place_that_odometry_excludes_is_not_joined(scans: list[ProcessedScan]) -> None:
@@ -125,12 +132,13 @@ def test_a_place_that_odometry_excludes_is_not_joined(scans: list[ProcessedScan]
 
 
 def test_a_part_is_searched_everywhere_if_scans_contradict_the_place_where_odometry_has_it(
-    scans: list[ProcessedScan], drive: list[Message]
+    furnished_drive: list[Message],
 ) -> None:
     """Odometry is wrong by more than its covariance admits: the room does not look as it would there."""
-    estimator, joined = lose(scans, np.array([1.5, -1.0, 0.5]), kidnapped=False, at=DURATION / 3.0)
+    scans, shift = process(furnished_drive), np.array([1.5, -1.0, 0.5])
+    estimator, joined = lose(scans, shift, kidnapped=False, at=DURATION / 3.0)
     assert joined == estimator.state.mapper.landmarks.parts.firsts[1:]
-    assert position_errors(estimator, drive).max() < 0.03
+    assert position_errors(estimator, furnished_drive).max() < 0.03
 
 
 @pytest.mark.parametrize("kidnapped", [False, True])

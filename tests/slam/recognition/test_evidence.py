@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 
 from slam.recognition.evidence import CellFits, chances_of_fit, evidence_of
+from slam.recognition.location import RECOGNISED
 
 ERROR = 0.01  # probability of a wrong decision
 
 
-def fits_of(shares: Sequence[float], known: Sequence[bool] | None = None) -> CellFits:
-    return CellFits(np.array(shares), np.ones(len(shares), dtype=bool) if known is None else np.array(known))
+def fits_of(shares: Sequence[float], known: Sequence[bool] | None = None, walls: int = 0) -> CellFits:
+    """Return the fits of cells, of which the last ones are on long `walls`; without `known`, all are known."""
+    count = len(shares)
+    return CellFits(
+        np.array(shares),
+        np.ones(count, dtype=bool) if known is None else np.array(known),
+        np.arange(count) >= count - walls,
+    )
 
 
 def test_cells_that_fit_everywhere_are_no_evidence() -> None:
@@ -63,3 +70,18 @@ def test_what_has_changed_fits_by_chance() -> None:
     changed = random.uniform(size=80) < 0.3
     fit = np.where(changed, random.uniform(size=80) < chance, 1.0)
     assert evidence_of(fits_of(fit.tolist()), chance) > evidence_of(fits_of(fit[60:].tolist()), chance[60:]) - 0.5
+
+
+def test_furniture_that_was_moved_together_is_less_evidence_than_the_walls_that_stayed() -> None:
+    """Forty cells of furniture fit beside the right place, and ten of walls fit at it."""
+    chance, moved, right = np.full(50, 0.4), [1.0] * 40 + [0.0] * 10, [0.0] * 40 + [1.0] * 10
+    assert evidence_of(fits_of(moved), chance) > RECOGNISED.required
+    assert evidence_of(fits_of(moved, walls=10), chance) < RECOGNISED.required - 4.0
+    assert evidence_of(fits_of(right, walls=10), chance) > evidence_of(fits_of(right), chance)
+
+
+def test_long_walls_rarely_look_alike_with_much_evidence() -> None:
+    random = np.random.default_rng(3)
+    chance = random.uniform(0.2, 0.9, 60)
+    fits = [fits_of((random.uniform(size=60) < chance).astype(float).tolist(), walls=30) for _ in range(2000)]
+    assert sum(evidence_of(fit, chance) > -np.log(ERROR) for fit in fits) <= 2000 * ERROR

@@ -18,10 +18,10 @@ from ..simulated_worlds import limit_drives
 COVARIANCE_FACTOR = 0.02  # standard deviations seven times too small
 
 
-@pytest.mark.parametrize("seed", [46, pytest.param(49, marks=pytest.mark.slow)])  # the estimate is in doubt
 def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is_wrong(
-    monkeypatch: pytest.MonkeyPatch, seed: int
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """The estimate is in doubt: looks contradict it, and recognise no place that its uncertainty admits."""
     for name in ("relative", "relative_bound", "relative_to_all"):
         monkeypatch.setattr(KeyframeCovariances, name, _scaled(getattr(KeyframeCovariances, name)))
     expectations: list[Expectation] = []
@@ -33,7 +33,7 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
     original = loop_evidence.locate
     monkeypatch.setattr(loop_evidence, "locate", locate)
     limit_drives(monkeypatch, 130.0)  # the loops are closed after 122 s
-    run = run_world("large_loop", seed)
+    run = run_world("large_loop", 46)
     assert run.needed
     assert run.joined
     assert [decision.status for decision in run.decisions] == [LoopStatus.ACCEPTED]
@@ -41,12 +41,13 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
     assert expectations == [DOUBTED]
 
 
-@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8710, 8715, 8717))])
+@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8710, 8715))])
 def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int) -> None:
-    """Two thirds of what the lidar sees in the room fit a metre beside the right place, which is recognised later."""
+    """Two thirds of what the lidar sees in the room fit a metre beside the right place, but not the long walls."""
     run = run_world("moved_furniture", seed, "half-circle")
+    assert any("the drive as a whole does not fit there" in decision.reason for decision in run.decisions)
     assert not run.wrong
-    assert run.joined
+    assert run.last_error < 0.3
 
 
 def _scaled(function: Any) -> Any:
