@@ -8,7 +8,7 @@ from gtsam.symbol_shorthand import C, L, P, X
 
 from .factor_graph import Additions, FactorGraph
 from .factors import GraphState, by_kind, from_pose2
-from .isam2 import RELINEARIZE_SKIP, IncrementalSolver
+from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 
 
@@ -50,9 +50,6 @@ def restore_graph(state: GraphState) -> FactorGraph:
     used = {key for group in by_kind(known.factors) for keys in group.keys.tolist() for key in keys}
     for key, value in state.variables().items():
         (known if key in used else waiting).values.insert(key, value)
-    graph.additions = known
-    graph.update()
-    for _ in range((state.updates - 1) % RELINEARIZE_SKIP):  # so that the same later updates relinearise
-        graph.update()
+    graph.solver.restore(known.factors, known.values, state.updates)
     graph.additions = waiting
     return graph

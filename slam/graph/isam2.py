@@ -89,9 +89,7 @@ class IncrementalSolver:
         if self._isam is None:
             factors, values, updates = self.sorted_factors(), self.linearisation_point(), self.updates
             self.reset()
-            self.update(factors, values)
-            for _ in range((updates - 1) % RELINEARIZE_SKIP):  # so that the same later updates relinearise
-                self.update([], gtsam.Values())
+            self.restore(factors, values, updates)
         assert self._isam is not None
         return self._isam
 
@@ -208,6 +206,16 @@ class IncrementalSolver:
             numbers = list(range(slots - len(new), slots))
         self.factors.update(zip(numbers, new, strict=True))
         return numbers
+
+    def restore(self, factors: Sequence[Factor], values: gtsam.Values, updates: int) -> None:
+        """Add the factors and linearisation points of a solver after some `updates` to this empty one.
+
+        The same later updates relinearise as in that solver, and none of those here: as there is nothing in the first
+        ones, the last one has no step to compare with the thresholds. Raises MapError as `update` does.
+        """
+        for _ in range((updates - 1) % RELINEARIZE_SKIP):
+            self.update([], gtsam.Values())
+        self.update(factors, values)
 
     def _update_batch(
         self, batch: BatchSolution, new: Sequence[Factor], values: gtsam.Values, remove: Sequence[int]
