@@ -12,7 +12,7 @@ from . import line_tracking, rays, segmentation, segments
 from .estimators import ESTIMATORS
 from .feature_buffers import FeatureBuffers, NoiseEstimate
 from .kernel import extract_features
-from .running_noise import MEMORY_LINES, MIN_GAIN, PRIOR_LINES, RunningNoise
+from .running_noise import PRIOR_LINES, given_noise, updated
 from .settings import Settings
 from .types import Corners, Features, Floats, LearnedNoise, Lines, Noise
 
@@ -69,10 +69,7 @@ class Extractor:
         if not (noise.sigma_range > 0.0 and noise.sigma_bearing >= 0.0):
             raise ValueError(f"noise must be positive, not {noise}")
         self._adapt = adapt_noise
-        if learned is not None and adapt_noise:
-            self._running = RunningNoise(learned, 1.0 / MIN_GAIN, MEMORY_LINES)
-        else:
-            self._running = RunningNoise(LearnedNoise(noise.sigma_range, noise.sigma_bearing, noise.sigma_range))
+        self._noise = learned if learned is not None and adapt_noise else given_noise(noise)
         settings = Settings(
             sigma_range=float(self.noise.segmentation_range),
             sigma_bearing=float(noise.sigma_bearing),
@@ -95,7 +92,7 @@ class Extractor:
     @property
     def noise(self) -> LearnedNoise:
         """Noise assumed for the next scan."""
-        return self._running.noise
+        return self._noise
 
     def extract(self, ranges: Floats, angles: Floats) -> Features:
         """Extract the lines and corners of one scan, in the lidar's frame.
@@ -109,7 +106,7 @@ class Extractor:
         used = self.noise
         lines, corners, estimate = self.run_kernel()
         if self._adapt:
-            self._assume(self._running.updated(estimate))
+            self._assume(updated(used, estimate))
         return Features(self._lines(lines), self._corners(corners), used)
 
     def settle_noise(self, ranges: Floats, angles: Floats) -> bool:
@@ -123,13 +120,13 @@ class Extractor:
         if not self._adapt:
             return True
         self._load(ranges, angles)
-        given, share = self._running, 0.0
+        given, share = self.noise, 0.0
         for _ in range(MAX_SETTLING_EXTRACTIONS):
-            before = replace(self.noise, sigma_bearing=given.noise.sigma_bearing)
+            before = replace(self.noise, sigma_bearing=given.sigma_bearing, scans=0.0, lines=given.lines)
             lines, _, estimate = self.run_kernel()
             if not estimate.segmentation_weight > 0.0:
                 break
-            self._assume(RunningNoise(before, 0.0, given.lines).updated(estimate))
+            self._assume(updated(before, estimate))
             share = lines / (lines + PRIOR_LINES)
             changes = (
                 self.noise.sigma_range / before.sigma_range,
@@ -138,11 +135,13 @@ class Extractor:
             if all(abs(change - 1.0) < SETTLED for change in changes):
                 break
         noise = LearnedNoise(
-            given.noise.sigma_range ** (1.0 - share) * self.noise.sigma_range**share,
+            given.sigma_range ** (1.0 - share) * self.noise.sigma_range**share,
             self.noise.sigma_bearing,
-            given.noise.segmentation_range ** (1.0 - share) * self.noise.segmentation_range**share,
+            given.segmentation_range ** (1.0 - share) * self.noise.segmentation_range**share,
+            given.scans,
+            given.lines,
         )
-        self._assume(replace(given, noise=noise))
+        self._assume(noise)
         return share > 0.0
 
     def run_kernel(self) -> tuple[int, int, NoiseEstimate]:
@@ -175,10 +174,9 @@ class Extractor:
             noise=np.zeros((beams + 1, len(NoiseEstimate._fields))),
         )
 
-    def _assume(self, running: RunningNoise) -> None:
+    def _assume(self, noise: LearnedNoise) -> None:
         """Assume a noise for the next scan."""
-        self._running = running
-        noise, (_, given_bearing, _, _, *others) = running.noise, self._settings
+        self._noise, (_, given_bearing, _, _, *others) = noise, self._settings
         self._settings = (noise.segmentation_range, given_bearing, noise.sigma_range, noise.sigma_bearing, *others)
 
     def _lines(self, count: int) -> Lines:

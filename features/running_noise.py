@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from .feature_buffers import NoiseEstimate
-from .types import LearnedNoise
+from .types import LearnedNoise, Noise
 
 # Metres. Minimum of the adapted range noise; no lidar of a robot is better, simulations often are.
 # Origin: chosen; not measured.
@@ -31,33 +30,26 @@ MIN_GAIN = 0.03
 MEMORY_LINES = PRIOR_LINES / MIN_GAIN
 
 
-@dataclass(frozen=True, slots=True)
-class RunningNoise:
-    """Running mean of the noise.
+def given_noise(noise: Noise) -> LearnedNoise:
+    """Return the noise that is assumed for the first scan, if `noise` is given."""
+    return LearnedNoise(noise.sigma_range, noise.sigma_bearing, noise.sigma_range, PRIOR_SCANS, PRIOR_BEARING_LINES)
 
-    noise  mean of the given one and of those of the scans so far
-    scans  weight of its range noise
-    lines  weight of its bearing noise
-    """
 
-    noise: LearnedNoise
-    scans: float = PRIOR_SCANS
-    lines: float = PRIOR_BEARING_LINES
-
-    def updated(self, estimate: NoiseEstimate) -> RunningNoise:
-        """Return the mean after one more scan."""
-        if not estimate.segmentation_weight > 0.0:
-            return self
-        gain = max(1.0 / (self.scans + 1.0), MIN_GAIN)
-        segmentation_range = _range_mean(self.noise.segmentation_range, estimate.segmentation_variance, gain)
-        sigma_range = self.noise.sigma_range
-        if estimate.range_weight > 0.0:
-            sigma_range = _range_mean(sigma_range, estimate.range_variance, gain)
-        sigma_bearing, lines = self.noise.sigma_bearing, self.lines
-        if estimate.bearing_weight > 0.0:
-            lines = min(lines + estimate.bearing_weight, MEMORY_LINES)
-            sigma_bearing = _bearing_mean(sigma_bearing, estimate.bearing_variance, estimate.bearing_weight / lines)
-        return RunningNoise(LearnedNoise(sigma_range, sigma_bearing, segmentation_range), self.scans + 1.0, lines)
+def updated(noise: LearnedNoise, estimate: NoiseEstimate) -> LearnedNoise:
+    """Return the running mean of the noise after one more scan."""
+    if not estimate.segmentation_weight > 0.0:
+        return noise
+    gain = max(1.0 / (noise.scans + 1.0), MIN_GAIN)
+    segmentation_range = _range_mean(noise.segmentation_range, estimate.segmentation_variance, gain)
+    sigma_range = noise.sigma_range
+    if estimate.range_weight > 0.0:
+        sigma_range = _range_mean(sigma_range, estimate.range_variance, gain)
+    sigma_bearing, lines = noise.sigma_bearing, noise.lines
+    if estimate.bearing_weight > 0.0:
+        lines = min(lines + estimate.bearing_weight, MEMORY_LINES)
+        sigma_bearing = _bearing_mean(sigma_bearing, estimate.bearing_variance, estimate.bearing_weight / lines)
+    scans = min(noise.scans + 1.0, 1.0 / MIN_GAIN)
+    return LearnedNoise(sigma_range, sigma_bearing, segmentation_range, scans, lines)
 
 
 def _range_mean(sigma: float, variance: float, gain: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -27,9 +28,13 @@ class LearnedNoise(Noise):
     """Noise that scans have determined: range and bearing together, for covariances.
 
     segmentation_range  metres: standard deviation of range that explains the scans with the given bearing noise
+    scans  weight of the range noise in the running mean; infinite if not known, as of many scans
+    lines  weight of the bearing noise, likewise
     """
 
     segmentation_range: float
+    scans: float = math.inf
+    lines: float = math.inf
 
 
 @dataclass(slots=True, eq=False)

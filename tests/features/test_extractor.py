@@ -12,9 +12,10 @@ from hypothesis.extra import numpy as hnp
 
 from features import Extractor, Features, LearnedNoise, Noise
 from features.kernel import TRIMMED_RAYS
+from features.running_noise import given_noise
 
 NOISE = Noise(0.01, 0.001)
-GIVEN = LearnedNoise(0.01, 0.001, 0.01)
+GIVEN = given_noise(NOISE)
 
 
 def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = NOISE, **options: object) -> Features:
@@ -251,6 +252,22 @@ def test_the_learned_noise_changes_covariances_only(simulate: Callable[..., obje
     np.testing.assert_array_equal(low.first, high.first)
     np.testing.assert_array_equal(low.chi2, high.chi2)
     assert (np.linalg.eigvalsh(high.covariance - low.covariance) > 0.0).all()
+
+
+@pytest.mark.parametrize("scans", [3, 40])
+def test_learning_goes_on_where_another_extractor_has_left_it(simulate: Callable[..., object], scans: int) -> None:
+    first, second = (
+        [simulate(seed, beams=180, sigma_range=0.02, sigma_bearing=np.radians(0.2)) for seed in seeds]
+        for seeds in (range(scans), range(scans, scans + 20))
+    )
+    whole = Extractor(NOISE)
+    for scan in first:
+        whole.extract(scan.ranges, scan.angles)
+    continued = Extractor(NOISE, learned=whole.noise)
+    for scan in second:
+        for extractor in (whole, continued):
+            extractor.extract(scan.ranges, scan.angles)
+    assert continued.noise == whole.noise
 
 
 def test_a_scan_without_lines_settles_nothing(simulate: Callable[..., object]) -> None:

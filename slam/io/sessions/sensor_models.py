@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
@@ -18,6 +19,7 @@ class SensorModelsRecord(Record):
 
     sigma_range, sigma_bearing, segmentation_range  see `LearnedNoise`; sessions that were made when the bearing noise
                       was not estimated have the first only
+    noise_scans, noise_lines  weights of the first two, likewise; None if not known
     odometry_samples  (n, 8)
     roughness_samples (m,)
     second_*          of the second lidar; None if there is none
@@ -26,11 +28,15 @@ class SensorModelsRecord(Record):
     sigma_range: Finite = Field(gt=0.0)
     sigma_bearing: Finite | None = Field(default=None, gt=0.0)
     segmentation_range: Finite | None = Field(default=None, gt=0.0)
+    noise_scans: Finite | None = Field(default=None, gt=0.0)
+    noise_lines: Finite | None = Field(default=None, gt=0.0)
     odometry_samples: list[list[Finite]]
     roughness_samples: list[Finite]
     second_sigma_range: Finite | None = Field(default=None, gt=0.0)
     second_sigma_bearing: Finite | None = Field(default=None, gt=0.0)
     second_segmentation_range: Finite | None = Field(default=None, gt=0.0)
+    second_noise_scans: Finite | None = Field(default=None, gt=0.0)
+    second_noise_lines: Finite | None = Field(default=None, gt=0.0)
 
     @classmethod
     def from_models(
@@ -38,27 +44,29 @@ class SensorModelsRecord(Record):
     ) -> SensorModelsRecord:
         """Make the record from the noise of a ray of each lidar, the second one None if there is none, and samples."""
         return cls(
-            sigma_range=noise.sigma_range,
-            sigma_bearing=noise.sigma_bearing,
-            segmentation_range=noise.segmentation_range,
+            **_values(noise),
             odometry_samples=odometry_samples.tolist(),
             roughness_samples=roughness_samples.tolist(),
-            second_sigma_range=second_noise and second_noise.sigma_range,
-            second_sigma_bearing=second_noise and second_noise.sigma_bearing,
-            second_segmentation_range=second_noise and second_noise.segmentation_range,
+            **({} if second_noise is None else _values(second_noise, "second_")),
         )
 
     @property
     def noise(self) -> LearnedNoise:
         """Noise of a ray of the lidar."""
-        return _noise(self.sigma_range, self.sigma_bearing, self.segmentation_range)
+        return _noise(self.sigma_range, self.sigma_bearing, self.segmentation_range, self.noise_scans, self.noise_lines)
 
     @property
     def second_noise(self) -> LearnedNoise | None:
         """Noise of a ray of the second lidar; None if there is none."""
         if self.second_sigma_range is None:
             return None
-        return _noise(self.second_sigma_range, self.second_sigma_bearing, self.second_segmentation_range)
+        return _noise(
+            self.second_sigma_range,
+            self.second_sigma_bearing,
+            self.second_segmentation_range,
+            self.second_noise_scans,
+            self.second_noise_lines,
+        )
 
     @model_serializer(mode="wrap")
     def _without_second_lidar(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -67,6 +75,30 @@ class SensorModelsRecord(Record):
         return {name: value for name, value in fields.items() if value is not None}
 
 
-def _noise(sigma_range: float, sigma_bearing: float | None, segmentation_range: float | None) -> LearnedNoise:
+def _values(noise: LearnedNoise, prefix: str = "") -> dict[str, float]:
+    """Return the values of the noise of a ray by the names of their fields; weights only if they are known."""
+    values = {
+        "sigma_range": noise.sigma_range,
+        "sigma_bearing": noise.sigma_bearing,
+        "segmentation_range": noise.segmentation_range,
+        "noise_scans": noise.scans,
+        "noise_lines": noise.lines,
+    }
+    return {prefix + name: value for name, value in values.items() if math.isfinite(value)}
+
+
+def _noise(
+    sigma_range: float,
+    sigma_bearing: float | None,
+    segmentation_range: float | None,
+    scans: float | None,
+    lines: float | None,
+) -> LearnedNoise:
     """Return the noise of a ray; what an earlier version has not written is that of a data sheet, or the same."""
-    return LearnedNoise(sigma_range, sigma_bearing or LidarConfig().sigma_bearing, segmentation_range or sigma_range)
+    return LearnedNoise(
+        sigma_range,
+        sigma_bearing or LidarConfig().sigma_bearing,
+        segmentation_range or sigma_range,
+        scans or math.inf,
+        lines or math.inf,
+    )

@@ -193,9 +193,11 @@ def test_scan_without_features_is_read_back_without_features(tmp_path: Path) -> 
 def test_the_noise_of_rays_is_kept(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
     session, path = written[0], shutil.copytree(written[1], tmp_path / "out")
     assert read_session(path).noise == session.noise
+    assert session.noise.lines < np.inf
     header = path / SESSION / HEADER
     data = json.loads(header.read_text())
-    del data["sensor_models"]["sigma_bearing"], data["sensor_models"]["segmentation_range"]
+    for name in ("sigma_bearing", "segmentation_range", "noise_scans", "noise_lines"):
+        del data["sensor_models"][name]
     header.write_text(json.dumps(data))
     sigma_range = session.noise.sigma_range
     assert read_session(path).noise == LearnedNoise(sigma_range, LidarConfig().sigma_bearing, sigma_range)
