@@ -129,8 +129,7 @@ class SlamState:
             state.tracker.restore(checkpoint.tracker)
             state.pose = checkpoint.tracker.fix.pose
         if mapper.keyframe_count:
-            state._rebuild_surroundings(scans)
-            state.local_field.restore(checkpoint.field)
+            state._rebuild_surroundings(scans, checkpoint.field)
             state.loops.restore(loops, state.local_field)
             state.joins.restore(joins or {}, state.local_field)
         return state
@@ -301,28 +300,33 @@ class SlamState:
         `fix` is that of the last scan, `scans` are those of the keyframes. Hypotheses on loops are discarded, which
         were motions in the map before.
         """
-        field = self.local_field.state
+        links = replace(self.local_field.state, inserted=(), inserted_poses=np.zeros((0, 3)), successor=None)
         self.mapper, self.trajectory, self.pose = mapper, trajectory, fix.pose
         self.tracker.move_to(fix.pose, fix.odometry)
         self.loops.clear()
-        self._rebuild_surroundings(scans, field)
+        self._rebuild_surroundings(scans, links)
 
     def update_local_field(self) -> None:
         """Bring the distance field up to date with the keyframes and their current poses."""
         keyframe = self.mapper.keyframe_count - 1 if self.anchor is None else self.anchor.keyframe
         self.local_field.update(keyframe, self.mapper.keyframe_poses, self.mapper.travelled)
 
-    def _rebuild_surroundings(self, scans: Mapping[int, ProcessedScan], field: LocalFieldState | None = None) -> None:
-        """Rebuild local map and distance field from the keyframes, with the links and gaps of the field before."""
+    def _rebuild_surroundings(self, scans: Mapping[int, ProcessedScan], field: LocalFieldState) -> None:
+        """Rebuild the distance field from its state and the scans of the keyframes, then the local map.
+
+        If nothing is inserted in that state, the keyframes around the robot are.
+        """
         count = self.mapper.keyframe_count
         self.local_field = LocalField()
         for keyframe in range(count):
             self.local_field.add(scans[keyframe].features)
-        if field is not None:
-            self.local_field.restore(replace(field, inserted=(), inserted_poses=np.zeros((0, 3)), successor=None))
-        self.update_local_field()
+        self.local_field.restore(field)
+        if not field.inserted:
+            self.update_local_field()
+        # a scan between two keyframes is compared with the map around the first one
+        centre = self.pose if self.anchor is None or self.kidnapped else self.anchor_pose
         reach = scans[count - 1].features.segments.reach()
-        self.local_map = self.local_map_at(self.pose, LOCAL_MAP_MARGIN + reach)
+        self.local_map = self.local_map_at(centre, LOCAL_MAP_MARGIN + reach)
 
 
 def _relative_to_nearest(poses: Floats, pose: se2.Pose) -> tuple[int, se2.Pose]:

@@ -101,6 +101,29 @@ def test_a_continued_run_equals_an_uninterrupted_one(
     assert slam.session.starts == [0]
 
 
+@pytest.mark.parametrize(
+    ("lidar", "interrupted"),
+    [
+        pytest.param(LidarModel(beams=180, rate=5.0), 9.0, id="while the noise is learned"),
+        pytest.param(LidarModel(beams=360, rate=5.0, range_max=15.0), 9.0, id="before walls are linearised again"),
+    ],
+)
+def test_the_continuation_of_a_run_does_not_depend_on_when_it_was_interrupted(
+    lidar: LidarModel, interrupted: float, tmp_path: Path
+) -> None:
+    messages = list(Simulation("office", seed=2, duration=20.0, lidar=lidar))
+    cut, snapshot, whole = messages[0].stamp + interrupted, None, Slam()
+    for message in messages:
+        if snapshot is None and message.stamp >= cut:
+            snapshot = whole.snapshot()
+        whole.add(message)
+    assert snapshot is not None
+    (tmp_path / CONFIG).write_text(config_to_toml(Config()))
+    write_session(tmp_path, snapshot.session)
+    _, finished, _ = run([message for message in messages if message.stamp >= cut], tmp_path)
+    np.testing.assert_allclose(finished.poses, whole.finish().poses, atol=1e-6)
+
+
 def test_a_saved_state_can_be_continued_and_does_not_change_the_run(
     first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
 ) -> None:
