@@ -111,7 +111,8 @@ def test_a_map_is_recognised_in_a_plan_and_is_in_its_frame(
     assert rms(errors(finished, drive, aligned=True)) < 1.2 * rms(errors(without_plan, drive, aligned=True)) + 5e-4
     write_session(tmp_path, slam.session)
     (tmp_path / CONFIG).write_text(config_to_toml(Config()))
-    stored, restored = slam.session.slam_state.mapper.graph, read_session(tmp_path).slam_state.mapper.graph
+    stored = slam.session.slam_state.mapper.graph
+    restored = read_session(tmp_path, solve=False).slam_state.mapper.graph
     assert len(stored.plan_walls()) > 20
     assert stored.plan_walls().keys() == restored.plan_walls().keys()
     np.testing.assert_allclose(restored.keyframe_pose(5), stored.keyframe_pose(5), atol=1e-6)
