@@ -95,8 +95,8 @@ def test_a_continued_run_equals_an_uninterrupted_one(
     assert not notices
     np.testing.assert_array_equal(finished.stamps, uninterrupted.stamps)
     apart = np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T)
-    assert apart.max() < 1e-3
-    assert np.abs(se2.wrap(finished.poses[:, 2] - uninterrupted.poses[:, 2])).max() < np.radians(0.2)
+    assert apart.max() < 1e-6
+    assert np.abs(se2.wrap(finished.poses[:, 2] - uninterrupted.poses[:, 2])).max() < 1e-6
     assert len(finished.walls) == len(uninterrupted.walls)
     assert slam.session.starts == [0]
 
@@ -147,7 +147,7 @@ def test_a_saved_state_can_be_continued_and_does_not_change_the_run(
     assert len(stamps) == len(snapshot.session.scans)  # those between the scans are left out, to save quickly
     _, finished, _ = run([message for message in first if message.stamp >= cut], saved)
     np.testing.assert_array_equal(finished.stamps, uninterrupted.stamps)
-    assert np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T).max() < 1e-3
+    assert np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T).max() < 1e-6
 
 
 def test_keeping_all_features_does_not_change_the_result() -> None:
