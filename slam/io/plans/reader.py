@@ -74,7 +74,10 @@ def _to_plan(path: Path, drawing: Drawing, unit: Unit | None) -> Plan:
     if len(segments):
         width, height = (segments.max(axis=(0, 1)) - segments.min(axis=(0, 1))).tolist()
         if not MIN_EXTENT <= max(width, height) <= MAX_EXTENT:
-            raise MapError(f"{path}: would be {_size(width, height)}; state the unit of the drawing with --plan-unit")
+            of_globe = max(width, height) < MIN_EXTENT and DRAWINGS[path.suffix.lower()] is read_geojson
+            degrees = "; degrees of longitude and latitude are not read" if of_globe else ""
+            size = _size(width, height)
+            raise MapError(f"{path}: would be {size}; state the unit of the drawing with --plan-unit{degrees}")
     segments = segments[np.hypot(*(segments[:, 1] - segments[:, 0]).T) >= MIN_PIECE]
     if len(segments) > MAX_LINES:
         raise MapError(

@@ -67,6 +67,7 @@ def test_bad_plans_are_refused_in_one_line(wclm: Any, tmp_path: Path) -> None:
         ("millimetres", 1000.0, r"would be 2\.53e\+04 m x 1\.53e\+04 m; state the unit"),
         ("inches", 1.0 / 0.0254, r"more than \d+ views in 996\.1 m x 602\.4 m; state the unit"),
         ("kilometres", 0.001, "state the unit"),
+        ("degrees", 1e-5, "state the unit of the drawing with --plan-unit; degrees of longitude and latitude are not"),
         ("empty", np.zeros(0), "has no straight line"),
     ):
         path = tmp_path / f"{name}.geojson"
