@@ -139,7 +139,7 @@ class CarmenReader(RecordingReader):
                 elif kind in lasers:
                     parsed = _in_metres(parse_laser(kind, line), lasers[kind].per_metre)
                     stamps.check(parsed.stamp)
-                    if number in corrected:
+                    if corrected and kind == b"FLASER":
                         parsed.poses[3:] = wheels.go_on_from(parsed.poses[3:].copy())
                     parsed.stamp = stamps.of(number, kind, parsed.stamp, parsed.poses[3:])
                     values = (parsed.stamp, *parsed.poses[3:].tolist())

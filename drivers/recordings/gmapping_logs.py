@@ -20,30 +20,30 @@ MIN_CORRECTED = 2
 """Scans that are needed, beside most of all, whose estimate differs from the odometry before and is repeated."""
 
 
-def remove_estimates(lines: list[bytes]) -> set[int]:
+def remove_estimates(lines: list[bytes]) -> bool:
     """Empty the ODOM lines that repeat the estimate of the scan before, if GMapping has written the log.
 
-    Returns the numbers, from 1 on, of the scans' lines; nothing if most scans have no other pose than the odometry.
+    Returns whether it has; not if most scans have no other pose than the odometry.
     """
-    estimates: list[tuple[int, int]] = []  # line numbers of scans and of their estimates
-    scans, corrected, scan, pose, before = 0, 0, 0, list[bytes](), list[bytes]()
-    for number, line in enumerate(lines, start=1):
+    estimates: list[int] = []  # indices of lines
+    scans, corrected, pose, before = 0, 0, list[bytes](), list[bytes]()
+    for index, line in enumerate(lines):
         kind = line[:12].partition(b" ")[0]
         if kind == b"FLASER":
-            scans, scan, pose = scans + 1, number, _pose(line.split())
+            scans, pose = scans + 1, _pose(line.split())
         elif kind == b"ODOM":
             odometry = line.split()[1:4]
             if pose and odometry == pose:
-                estimates.append((scan, number))
+                estimates.append(index)
                 # else the robot stands still, the scan has the odometry's pose, or there is no other odometry
                 corrected += bool(before) and before != pose
                 odometry = []
             pose, before = [], odometry
     if corrected < MIN_CORRECTED or 2 * corrected <= scans:
-        return set()
-    for _, number in estimates:
-        lines[number - 1] = b""
-    return {number for number, _ in estimates}
+        return False
+    for index in estimates:
+        lines[index] = b""
+    return True
 
 
 def _pose(words: Sequence[bytes]) -> list[bytes]:
@@ -61,15 +61,22 @@ class WheelOdometry:
     def __init__(self) -> None:
         self._origin: se2.Pose | None = None  # from which the log's odometry goes on
         self._at_origin, self._last = np.zeros(3), np.zeros(3)
+        self._has_odometry = False  # since the last scan
 
     def restore(self, pose: Floats) -> se2.Pose:
         """Return the wheels' odometry (3,) for the pose (3,) of an ODOM line."""
         if self._origin is None:
             self._origin = self._at_origin = pose
         self._last = se2.compose(self._at_origin, se2.between(self._origin, pose))
+        self._has_odometry = True
         return self._last
 
     def go_on_from(self, estimate: Floats) -> se2.Pose:
-        """Return the wheels' odometry (3,) at a scan, from whose estimate (3,) the log's odometry goes on."""
-        self._origin, self._at_origin = estimate, self._last
+        """Return the wheels' odometry (3,) at a scan, from whose estimate (3,) the log's odometry goes on.
+
+        If there is none since the scan before, only the estimates tell how the robot moved.
+        """
+        if not self._has_odometry:
+            self.restore(estimate)
+        self._origin, self._at_origin, self._has_odometry = estimate, self._last, False
         return self._last

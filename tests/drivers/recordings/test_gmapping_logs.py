@@ -72,14 +72,14 @@ def test_other_logs_are_read_as_they_are() -> None:
         lines += [f"ODOM {after} 0 0 0 {k + 0.5} host {k + 0.5}"]
     encoded = [line.encode() for line in lines]
     kept = list(encoded)
-    assert remove_estimates(kept) == set()
+    assert not remove_estimates(kept)
     assert kept == encoded
 
 
 @pytest.mark.parametrize("count", ["", "2.5", "-1", 5000 * "7"])
 def test_invalid_numbers_of_beams_are_no_estimates(count: str) -> None:
     lines = [f"ODOM 0 0 0 0 0 0 1 host 1\nFLASER {count} 1.0 1.1 1 0 0 0 0 0 2 host 2\n".encode()]
-    assert remove_estimates(lines[0].splitlines(keepends=True)) == set()
+    assert not remove_estimates(lines[0].splitlines(keepends=True))
 
 
 def test_estimates_are_kept_if_there_is_no_other_odometry() -> None:
@@ -90,5 +90,32 @@ def test_estimates_are_kept_if_there_is_no_other_odometry() -> None:
         lines += [f"FLASER 2 1.0 1.1 {shown} {shown} {k} host {k}", f"ODOM {shown} 0 0 0 0 host 0", "NEFF 30"]
     encoded = [line.encode() for line in lines]
     kept = list(encoded)
-    assert remove_estimates(kept) == set()
+    assert not remove_estimates(kept)
     assert kept == encoded
+
+
+def test_estimates_are_the_odometry_where_there_is_no_other(tmp_path: Path) -> None:
+    """Readings of the odometry can be lost for some seconds, in which the robot turns."""
+    lost = slice(2 * (BETWEEN_SCANS + 3), 3 * (BETWEEN_SCANS + 3) - 3)  # from one scan to the next
+    odometry = drive(scans=5)
+    lines = gmapping_log(odometry, "0")
+    assert sum(line.startswith("ODOM") for line in lines[lost]) == BETWEEN_SCANS
+    del lines[lost]
+    log = tmp_path / "corrected.log"
+    log.write_text("\n".join(lines) + "\n")
+    read = [message.pose for message in drivers.open(log) if isinstance(message, Odometry)]
+    motion = se2.between(odometry[2 * BETWEEN_SCANS - 1], odometry[3 * BETWEEN_SCANS - 1])
+    np.testing.assert_allclose(
+        se2.between(read[2 * BETWEEN_SCANS - 1], read[2 * BETWEEN_SCANS]), se2.compose(motion, ERROR), atol=1e-7
+    )
+    end = se2.between(odometry[3 * BETWEEN_SCANS - 1], odometry[-1])
+    np.testing.assert_allclose(se2.between(read[2 * BETWEEN_SCANS], read[-1]), end, atol=1e-7)
+
+
+def test_a_log_may_end_with_a_scan(tmp_path: Path) -> None:
+    """The estimate of the last scan is not repeated if the log was cut short there."""
+    odometry = drive(scans=5)
+    log = tmp_path / "corrected.log"
+    log.write_text("\n".join(gmapping_log(odometry, "0")[:-2]) + "\n")
+    read = [message.pose for message in drivers.open(log) if isinstance(message, Odometry)]
+    np.testing.assert_allclose(read, odometry, atol=1e-7)
