@@ -142,7 +142,8 @@ def squared_distances(forms, ends, measured, information, values):  # type: igno
     for k in range(len(forms)):
         first, second = ends[k]
         _error(forms[k], measured[k], values[first], values[second], axes[first], error)
-        result[k] = _squared(error, information[k])
+        # across the only direction that a factor measures, rounding can give less than zero
+        result[k] = max(_squared(error, information[k]), 0.0)
     return result
 
 

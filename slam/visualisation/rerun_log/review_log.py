@@ -27,6 +27,7 @@ from ...events import (
     WallsMerged,
     WallsRemoved,
 )
+from ...formatting import counted
 from .viewer import ViewerServer
 
 BUSY_EVENTS = 500  # events in the queue, about a second of work; beyond, scans are left out
@@ -136,14 +137,14 @@ class ReviewLog:
         self._closed = True
         self._queue.put(None)
         self._worker.join()
-        if self.failures or self.lost:
-            _logger.error(
-                "%s is incomplete: %d events could not be logged (first: %s), %d were lost because logging stalled",
-                self.path,
-                self.failures,
-                self.first_failure,
-                self.lost,
-            )
+        reasons = []
+        if self.failures:
+            reasons.append(f"{counted(self.failures, 'event')} could not be logged (first: {self.first_failure})")
+        if self.lost:
+            reasons.append(f"{counted(self.lost, 'event')} left out because logging stalled")
+        if reasons:
+            # its folder can be a temporary one, which the run then renames
+            _logger.error("%s is incomplete: %s", self.path.name, ", ".join(reasons))
 
     def __enter__(self) -> ReviewLog:
         return self

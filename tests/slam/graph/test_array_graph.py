@@ -9,6 +9,7 @@ from gtsam.symbol_shorthand import L, P, X
 
 from drivers import se2
 from slam.errors import MapError
+from slam.graph.array_factors import BETWEEN, squared_distances
 from slam.graph.array_graph import ArrayGraph
 from slam.graph.block_cholesky import Pattern, _ranks, factorise, inverse_blocks, solve
 from slam.graph.factor_graph import FactorGraph
@@ -48,6 +49,20 @@ def graph_of_all_kinds(random: np.random.Generator) -> FactorGraph:
     graph.add_pinned_pose(1, se2.compose(poses[1], [0.2, 0.3, -0.3]), covariance)
     graph.update()
     return graph
+
+
+def test_a_squared_distance_is_not_negative() -> None:
+    """The error of a factor that measures one direction can lie across it, as that of a wall's offset."""
+    random = np.random.default_rng(0)
+    count = 1000
+    measured_direction = np.column_stack([random.normal(size=(count, 2)), np.zeros(count)])
+    information = 1e4 * measured_direction[:, :, None] * measured_direction[:, None, :]
+    across = np.column_stack([-measured_direction[:, 1], measured_direction[:, 0], np.zeros(count)])
+    values = np.concatenate([np.zeros((1, 3)), across])
+    ends = np.column_stack([np.zeros(count, dtype=np.int64), np.arange(1, count + 1)])
+    squared = squared_distances(np.full(count, BETWEEN), ends, np.zeros((count, 3)), information, values)
+    assert (squared >= 0.0).all()
+    np.testing.assert_allclose(squared, 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(3))
