@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from .timing.beam_times import BeamOrder
 
 SUPPORTED = (
-    "CARMEN logs (.clf, .log, .carmen, .txt, .gz), MCAP files (.mcap), "
+    "CARMEN logs (.clf, .log, .carmen, .txt, .gz, .bz2), MCAP files (.mcap), "
     "ROS 1 bags (.bag, .bag.active), ROS 2 bags (directory or .db3), simulations (sim:WORLD), "
     "recordings replayed in real time (replay:FILE), devices (rplidar:/dev/ttyUSB0 + create2:/dev/ttyUSB1)"
 )
-CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".txt")
+CARMEN_SUFFIXES = (".clf", ".log", ".carmen", ".gz", ".bz2", ".txt")
 BAG_SUFFIXES = (".bag", ".active", ".db3")
 """Of ROS bags; that of a ROS 1 bag is `.bag.active` until its recorder closes it."""
 RECORDING_SUFFIXES = (".clf", ".carmen", ".mcap", *BAG_SUFFIXES)

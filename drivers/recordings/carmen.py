@@ -5,6 +5,7 @@ Lines other than those in `carmen_lines` (PARAM, SYNC, comments, ...) are ignore
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import math
 import re
@@ -203,22 +204,34 @@ class CarmenReader(RecordingReader):
 
 def _content(path: Path) -> tuple[bytes, str | None]:
     """Return the log's bytes up to a damaged place, and the damage of its compression, None if there is none."""
-    with path.open("rb") as uncompressed:
-        if uncompressed.read(2) != b"\x1f\x8b":
-            uncompressed.seek(0)
-            return uncompressed.read(), None
+    with path.open("rb") as file:
+        magic = file.read(3)
+        file.seek(0)
+        if magic[:2] == b"\x1f\x8b":
+            return _decompressed(path, gzip.GzipFile(fileobj=file), "gzip")
+        if magic == b"BZh":
+            return _decompressed(path, bz2.BZ2File(file), "bzip2")
+        return file.read(), None
+
+
+def _decompressed(path: Path, content: gzip.GzipFile | bz2.BZ2File, compression: str) -> tuple[bytes, str | None]:
+    """Return the bytes of a compressed file up to a damaged place, and the damage, None if there is none.
+
+    Raises RecordingError if they are too many.
+    """
     pieces: list[bytes] = []
     left = allowed_size(path.stat().st_size)
-    with gzip.open(path) as file:
-        try:
-            while piece := file.read(1 << 16):
-                pieces.append(piece)
-                left -= len(piece)
-                if left < 0:
-                    reason = f"decompresses to more than {MAX_RATIO} times its size; to read it anyway, gunzip it first"
-                    raise RecordingError(path, None, reason)
-        except (EOFError, gzip.BadGzipFile, zlib.error):
-            return b"".join(pieces), "gzip stream is damaged or truncated"
+    try:
+        while piece := content.read(1 << 16):
+            pieces.append(piece)
+            left -= len(piece)
+            if left < 0:
+                reason = f"decompresses to more than {MAX_RATIO} times its size; to read it anyway, decompress it first"
+                raise RecordingError(path, None, reason)
+    except (EOFError, OSError, zlib.error) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise  # of the disk; those of damaged streams have no number
+        return b"".join(pieces), f"{compression} stream is damaged or truncated"
     return b"".join(pieces), None
 
 

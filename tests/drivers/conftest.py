@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 from collections.abc import Callable
 from pathlib import Path
@@ -115,6 +116,7 @@ def recordings(drive: list[Message], carmen_text: str, tmp_path_factory: pytest.
     entries = ros_entries(drive, RosEncoder())
     (folder / "drive.clf").write_text(carmen_text)
     (folder / "drive.clf.gz").write_bytes(gzip.compress(carmen_text.encode()))
+    (folder / "drive.clf.bz2").write_bytes(bz2.compress(carmen_text.encode()))
     with McapWriter(folder / "drive.mcap") as writer:
         for message in drive:
             writer.write(message)
@@ -124,6 +126,7 @@ def recordings(drive: list[Message], carmen_text: str, tmp_path_factory: pytest.
     return {
         "carmen": str(folder / "drive.clf"),
         "carmen-gzip": str(folder / "drive.clf.gz"),
+        "carmen-bzip2": str(folder / "drive.clf.bz2"),
         "mcap": str(folder / "drive.mcap"),
         "ros1-bag": str(folder / "drive.bag"),
         "ros2-sqlite3": str(folder / "sqlite3"),

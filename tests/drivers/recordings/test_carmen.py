@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -177,6 +179,7 @@ def test_bad_line_is_counted_and_located(tmp_path: Path, line: str) -> None:
         (b"FLASER 3 1 2\n", "not a CARMEN log"),
         (b"1361431443 14554 0 0 559 557\n", "line: does not begin with the name of a message"),
         (b"\x1f\x8b\x08garbage", "gzip"),
+        (b"BZhgarbage", "bzip2"),
         (gzip.compress(b"", mtime=0), "is empty"),
     ],
 )
@@ -187,11 +190,24 @@ def test_log_without_a_valid_line_is_an_error(tmp_path: Path, content: bytes, re
     assert str(tmp_path) in str(caught.value)
 
 
-def test_truncated_gzip_is_read_up_to_the_truncation(tmp_path: Path) -> None:
-    lines = "".join(odom(1.0 + i, x=np.sin(i)) for i in range(2000))
-    messages, source = read(tmp_path, gzip.compress(lines.encode())[:-2000])
-    assert 100 < len(messages) < 2000
-    assert any("gzip" in reason for reason in source.report.reasons)
+@pytest.mark.parametrize(("compression", "compress"), [("gzip", gzip.compress), ("bzip2", bz2.compress)])
+def test_a_truncated_compressed_log_is_read_up_to_the_truncation(
+    tmp_path: Path, compression: str, compress: Callable[[bytes], bytes]
+) -> None:
+    lines = "".join(odom(1.0 + i, x=np.sin(i)) for i in range(40000))
+    compressed = compress(lines.encode())
+    messages, source = read(tmp_path, compressed[: len(compressed) * 3 // 4])
+    assert 100 < len(messages) < 40000
+    assert any(compression in reason for reason in source.report.reasons)
+
+
+def test_errors_of_the_disk_are_not_those_of_the_compression(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> bytes:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(gzip.GzipFile, "read", fail)
+    with pytest.raises(RecordingError, match="cannot be read: Input/output error"):
+        read(tmp_path, gzip.compress(odom(1.0).encode()))
 
 
 def test_missing_files_and_directories_are_errors(tmp_path: Path) -> None:

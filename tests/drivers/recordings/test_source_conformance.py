@@ -11,7 +11,7 @@ import drivers
 from drivers import GroundTruth, Message, Odometry, Scan, Source, SourceReport
 from drivers.source_factory import recording_of
 
-KINDS = ["carmen", "carmen-gzip", "mcap", "ros1-bag", "ros2-sqlite3", "ros2-mcap", "simulation"]
+KINDS = ["carmen", "carmen-gzip", "carmen-bzip2", "mcap", "ros1-bag", "ros2-sqlite3", "ros2-mcap", "simulation"]
 
 
 @pytest.fixture(params=KINDS)
