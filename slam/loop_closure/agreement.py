@@ -37,13 +37,10 @@ from .look import Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
-from .votes import Search, Tested, Vote, find_votes, is_recognised
+from .votes import Search, Tested, Vote, find_votes, is_recognised, least_quality
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = 2.0
-# Share of the best match's quality from which another one at the same look is supported too.
-# Origin: chosen; not measured.
-RIVAL_QUALITY = 0.9
 # Old places that are searched at a look. Origin: chosen, for time; within MEMORY 160 of them are searched.
 MAX_PLACES = 8
 # Places beyond the estimate's uncertainty that are searched at a look. Origin: chosen, for time; within MEMORY 40 of
@@ -230,7 +227,7 @@ class LoopAgreement:
         """
         new = [vote for vote in found if all(differ(look, vote.motion, t.motion) for _, t in tested if t is not None)]
         fitting = [vote for _, vote in tested if vote is not None and fits(vote.match)]
-        least = RIVAL_QUALITY * max((vote.match.quality for vote in (*fitting, *new)), default=0.0)
+        least = least_quality([*fitting, *new])
         for hypothesis, vote in tested:
             if vote is None:
                 continue

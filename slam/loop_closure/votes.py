@@ -13,6 +13,10 @@ from .look import Look
 from .loop_hypothesis import LoopHypothesis
 from .submap_search import SubmapMatch
 
+# Share of the best match's quality from which another one at the same look is supported too.
+# Origin: chosen; not measured.
+RIVAL_QUALITY = 0.9
+
 Search: TypeAlias = Callable[[Look, int], Sequence[SubmapMatch]]
 """Returns the matches of a look with the place around an old keyframe."""
 
@@ -42,6 +46,16 @@ def find_votes(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
 
 
 def is_recognised(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> bool:
-    """Return True if the look fits an old place at a pose for which the estimate's uncertainty admits a closure."""
+    """Return True if the look fits an old place at a pose for which the estimate's uncertainty admits a closure.
+
+    A place that fits clearly less than another one does not count: a corridor fits badly all along itself.
+    """
     fitting = [*found, *(vote for _, vote in tested if vote is not None and fits(vote.match))]
-    return any(look.squared_distance(vote.old, vote.match.pose) < MAX_CLOSED_DISTANCE for vote in fitting)
+    least = least_quality(fitting)
+    good = [vote for vote in fitting if vote.match.quality >= least]
+    return any(look.squared_distance(vote.old, vote.match.pose) < MAX_CLOSED_DISTANCE for vote in good)
+
+
+def least_quality(votes: Sequence[Vote]) -> float:
+    """Return the quality that a vote of a look needs to count beside the best of its votes."""
+    return RIVAL_QUALITY * max((vote.match.quality for vote in votes), default=0.0)

@@ -1,0 +1,41 @@
+"""A look recognises a place that the estimate admits only if it fits no other place clearly better."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.loop_closure.criteria import MAX_CLOSED_DISTANCE
+from slam.loop_closure.submap_search import SubmapMatch
+from slam.loop_closure.votes import Vote, is_recognised
+
+NEAR, FAR = np.zeros(3), np.array([3.0, 0.0, 0.0])  # the estimate admits a closure at the first place only
+
+
+def squared_distance(old: int, relative: se2.Pose) -> float:
+    return 0.5 * MAX_CLOSED_DISTANCE if relative[0] == 0.0 else 2.0 * MAX_CLOSED_DISTANCE
+
+
+def vote_at(pose: se2.Pose, fit: float) -> Vote:
+    return Vote(0, SubmapMatch(pose, 1e-3 * np.eye(3), fit, known=0.9), pose)
+
+
+@pytest.mark.parametrize(
+    ("votes", "recognised"),
+    [
+        ([vote_at(NEAR, 0.7)], True),
+        ([vote_at(FAR, 0.95)], False),
+        ([vote_at(NEAR, 0.7), vote_at(FAR, 0.95)], False),  # a corridor fits badly all along itself
+        ([vote_at(NEAR, 0.94), vote_at(FAR, 0.95)], True),
+        ([], False),
+    ],
+)
+def test_a_place_is_recognised_if_no_other_one_fits_clearly_better(votes: list[Vote], recognised: bool) -> None:
+    look: Any = SimpleNamespace(squared_distance=squared_distance)
+    assert is_recognised(look, [], votes) == recognised
+    hypothesis: Any = object()
+    assert is_recognised(look, [(hypothesis, vote) for vote in votes], []) == recognised
