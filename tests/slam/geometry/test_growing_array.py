@@ -61,6 +61,31 @@ def test_an_array_and_its_copy_are_independent(count: int) -> None:
     assert (copy.rows[-1, 0], again.rows[-1, 0]) == (-5.0, -4.0)
 
 
+def test_an_overwritten_row_is_the_old_one_in_copies() -> None:
+    array = GrowingArray((), [1.0, 2.0])
+    copy = array.copy()
+    for value in (3.0, 4.0):
+        array.overwrite_last(value)
+    assert (array.rows.tolist(), copy.rows.tolist()) == ([1.0, 4.0], [1.0, 2.0])
+    copy.overwrite_last(5.0)
+    again = copy.copy()
+    copy.append(6.0)
+    copy.overwrite_last(7.0)
+    assert (copy.rows.tolist(), again.rows.tolist()) == ([1.0, 5.0, 7.0], [1.0, 5.0])
+    assert array.rows.tolist() == [1.0, 4.0]
+
+
+def test_to_overwrite_the_last_row_again_takes_no_memory() -> None:
+    """Some bases send readings with equal stamps for hours."""
+    array = GrowingArray((3,), np.ones((100_000, 3)))
+    copy = array.copy()
+    array.overwrite_last(np.zeros(3))
+    tracemalloc.start()
+    array.overwrite_last(np.ones(3))
+    assert tracemalloc.get_traced_memory()[1] < 0.01 * copy.rows.nbytes
+    tracemalloc.stop()
+
+
 def test_a_copy_takes_no_memory_for_the_rows() -> None:
     """Each save of a live run copies them, which are more the longer the robot drives."""
     array = GrowingArray((9,), np.ones((100_000, 9)))
