@@ -22,7 +22,7 @@ class TrajectoryBuilder:
     """Poses of the scans relative to their keyframes, so that they follow when the map is corrected."""
 
     def __init__(self) -> None:
-        self._stamps, self._keyframes = array("d"), array("q")
+        self._stamps, self._keyframes = GrowingArray(()), array("q")
         self._relative, self._informations = GrowingArray((3,)), GrowingArray((3, 3))
 
     @classmethod
@@ -31,7 +31,8 @@ class TrajectoryBuilder:
     ) -> TrajectoryBuilder:
         """Build a trajectory from what `relative_poses` returns."""
         trajectory = cls()
-        trajectory._stamps, trajectory._keyframes = array("d", stamps), array("q", keyframes)
+        trajectory._stamps.replace(stamps)
+        trajectory._keyframes = array("q", keyframes)
         trajectory._relative.replace(relative)
         trajectory._informations.replace(informations)
         return trajectory
@@ -39,7 +40,7 @@ class TrajectoryBuilder:
     def __deepcopy__(self, memo: dict[int, object]) -> TrajectoryBuilder:
         """Return an independent copy."""
         other = TrajectoryBuilder()
-        other._stamps, other._keyframes = self._stamps[:], self._keyframes[:]
+        other._stamps, other._keyframes = self._stamps.copy(), self._keyframes[:]
         other._relative, other._informations = self._relative.copy(), self._informations.copy()
         return other
 
@@ -56,19 +57,19 @@ class TrajectoryBuilder:
     def relative_poses(self) -> tuple[Floats, NDArray[np.int64], Floats, Floats]:
         """Return for each scan its stamp (n,), its keyframe (n,), its pose relative to it (n, 3), and its information.
 
-        The informations are (n, 3, 3), each in the scan's own frame.
+        The informations are (n, 3, 3), each in the scan's own frame. None of these is to be changed.
         """
-        stamps, keyframes = np.array(self._stamps), np.array(self._keyframes, dtype=np.int64)
-        return stamps, keyframes, self._relative.rows.copy(), self._informations.rows.copy()
+        keyframes = np.array(self._keyframes, dtype=np.int64)
+        return self._stamps.rows, keyframes, self._relative.rows, self._informations.rows
 
     def at_scans(self, keyframe_poses: Floats) -> tuple[Floats, Floats]:
         """Return stamps (n,) and poses (n, 3) of the scans in the map, given the keyframes' poses (k, 3)."""
         keyframes = np.array(self._keyframes, dtype=np.int64)
-        return np.array(self._stamps), se2.compose(keyframe_poses[keyframes], self._relative.rows).reshape(-1, 3)
+        return self._stamps.rows, se2.compose(keyframe_poses[keyframes], self._relative.rows).reshape(-1, 3)
 
     def clip(self, begin: float, end: float) -> TrajectoryBuilder:
         """Return the part with stamps in [begin, end) seconds."""
-        stamps, keyframes = np.array(self._stamps), np.array(self._keyframes, dtype=np.int64)
+        stamps, keyframes = self._stamps.rows, np.array(self._keyframes, dtype=np.int64)
         rows = (stamps >= begin) & (stamps < end)
         relative, informations = self._relative.rows[rows], self._informations.rows[rows]
         return TrajectoryBuilder.from_arrays(stamps[rows], keyframes[rows], relative, informations)

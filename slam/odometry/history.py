@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bisect
 import math
-from array import array
 from collections.abc import Iterator
 
 import numpy as np
@@ -12,6 +11,7 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Odometry
 
+from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
 
 # Seconds over which the velocity at the first readings is measured, and between readings that are added before them.
@@ -40,21 +40,21 @@ class OdometryHistory:
     """All odometry readings of a run, in time order."""
 
     def __init__(self) -> None:
-        # Arrays, not lists of objects, which are six times as large: a robot drives for days.
-        self._stamps, self._poses = array("d"), array("d")  # of the poses, three numbers each
+        self._stamps, self._poses = GrowingArray(()), GrowingArray((3,))
         self._stamp_error, self._estimated_at = 0.0, 0  # and the number of readings when it was estimated
 
     @classmethod
     def from_arrays(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
         """Build a history from stamps (n,) in increasing order and poses (n, 3)."""
         history = cls()
-        history._stamps, history._poses = array("d", stamps), array("d", poses.ravel())
+        history._stamps.replace(stamps)
+        history._poses.replace(poses)
         return history
 
     def copy(self) -> OdometryHistory:
-        """Return a copy that later readings do not change."""
+        """Return a copy that later readings do not change; it shares the present ones."""
         other = OdometryHistory()
-        other._stamps, other._poses = self._stamps[:], self._poses[:]
+        other._stamps, other._poses = self._stamps.copy(), self._poses.copy()
         return other
 
     def __len__(self) -> int:
@@ -62,50 +62,51 @@ class OdometryHistory:
 
     def add(self, reading: Odometry) -> None:
         """Append a reading; one that is not later than the last replaces its pose."""
-        if self._stamps and reading.stamp <= self._stamps[-1]:
-            self._poses[-3:] = array("d", reading.pose)
+        if reading.stamp <= self.latest:
+            self._poses.overwrite_last(reading.pose)
             return
         self._stamps.append(reading.stamp)
-        self._poses.extend(reading.pose)
+        self._poses.append(reading.pose)
 
     def extend_back(self, stamp: float) -> None:
         """Prepend readings back to a stamp, as if the robot had moved as evenly before the first one as after it."""
         if len(self) < 2:
             return
-        first, pose = self._stamps[0], self._pose(0)
+        first, pose = self.earliest, self._pose(0)
         span = min(EVEN_SECONDS, self.latest - first)
         back = se2.inverse(EVEN_SECONDS / span * se2.between(pose, self.at(first + span)))
-        stamps, poses, begin = array("d"), array("d"), max(stamp, first - MAX_EXTENSION)
+        stamps, poses, begin = list[float](), list[se2.Pose](), max(stamp, first - MAX_EXTENSION)
         for k in range(math.ceil((first - begin) / EVEN_SECONDS)):
             later = first - k * EVEN_SECONDS
             part = min(later - begin, EVEN_SECONDS)
             pose = se2.compose(pose, part / EVEN_SECONDS * back)
             stamps.insert(0, later - part)
-            poses = array("d", pose) + poses
+            poses.insert(0, pose)
         if stamp < stamps[0]:
             stamps.insert(0, stamp)
-            poses = poses[:3] + poses
-        self._stamps, self._poses = stamps + self._stamps, poses + self._poses
+            poses.insert(0, poses[0])
+        self._stamps.replace([*stamps, *self._stamps.rows])
+        self._poses.replace([*poses, *self._poses.rows])
 
     @property
     def earliest(self) -> float:
         """Stamp of the first reading, inf without one."""
-        return self._stamps[0] if self._stamps else np.inf
+        return float(self._stamps.rows[0]) if len(self) else np.inf
 
     @property
     def latest(self) -> float:
         """Stamp of the last reading, -inf without one."""
-        return self._stamps[-1] if self._stamps else -np.inf
+        return float(self._stamps.rows[-1]) if len(self) else -np.inf
 
     @property
     def stamps(self) -> Floats:
-        """(n,) seconds."""
-        return np.array(self._stamps)
+        """(n,) seconds; not to be changed."""
+        return self._stamps.rows
 
     @property
     def poses(self) -> Floats:
         """(n, 3) in the odometry's frame."""
-        return np.array(self._poses).reshape(-1, 3)
+        return self._poses.rows.copy()
 
     def stamp_error(self, stamp: float) -> float:
         """Return the standard deviation of the stamps of the readings up to a stamp, seconds; see `error_of_stamps`.
@@ -113,44 +114,43 @@ class OdometryHistory:
         It does not depend on what was received later. It is estimated from ESTIMATED_FROM readings at most, and again
         after ESTIMATED_EVERY.
         """
-        count = bisect.bisect_left(self._stamps, stamp)
+        count = bisect.bisect_left(self.stamps, stamp)
         end = count - count % ESTIMATED_EVERY
         if end != self._estimated_at:
             begin = max(0, end - ESTIMATED_FROM)
-            poses = np.array(self._poses[3 * begin : 3 * end]).reshape(-1, 3)
-            self._stamp_error = error_of_stamps(np.array(self._stamps[begin:end]), poses)
+            self._stamp_error = error_of_stamps(self.stamps[begin:end], self._poses.rows[begin:end])
             self._estimated_at = end
         return self._stamp_error
 
     def readings_between(self, begin: float, end: float) -> tuple[Floats, Floats]:
         """Return stamps (n,) and poses (n, 3) of the readings from `begin` (seconds) to the first one from `end` on."""
-        first, last = bisect.bisect_left(self._stamps, begin), bisect.bisect_left(self._stamps, end) + 1
-        return np.array(self._stamps[first:last]), np.array(self._poses[3 * first : 3 * last]).reshape(-1, 3)
+        first, last = bisect.bisect_left(self.stamps, begin), bisect.bisect_left(self.stamps, end) + 1
+        return self.stamps[first:last], self._poses.rows[first:last].copy()
 
     def blocks(self) -> Iterator[tuple[Floats, Floats]]:
         """Yield stamps (n,) and poses (n, 3) of all readings, up to BLOCK at a time."""
         for begin in range(0, len(self), BLOCK):
-            end = begin + BLOCK
-            yield np.array(self._stamps[begin:end]), np.array(self._poses[3 * begin : 3 * end]).reshape(-1, 3)
+            yield self.stamps[begin : begin + BLOCK], self._poses.rows[begin : begin + BLOCK].copy()
 
     @property
     def travelled(self) -> Floats:
         """(n,) metres of wheel travel up to each reading."""
         travel = np.zeros(len(self))
         for begin in range(0, len(self) - 1, BLOCK):
-            poses = np.array(self._poses[3 * begin : 3 * (begin + BLOCK + 1)]).reshape(-1, 3)
+            poses = self._poses.rows[begin : begin + BLOCK + 1]
             travel[begin + 1 : begin + len(poses)] = wheel_travel(se2.between(poses[:-1], poses[1:]))
         return np.cumsum(travel)
 
     def at(self, stamp: float) -> se2.Pose:
         """Return the pose at a stamp, interpolated linearly in SE(2); constant before the first and after the last."""
-        after = bisect.bisect_left(self._stamps, stamp)
-        if after == len(self._stamps):
+        stamps = self.stamps
+        after = bisect.bisect_left(stamps, stamp)
+        if after == len(stamps):
             return self._pose(after - 1)
-        if after == 0 or self._stamps[after] == stamp:
+        if after == 0 or stamps[after] == stamp:
             return self._pose(after)
         before = self._pose(after - 1)
-        part = (stamp - self._stamps[after - 1]) / (self._stamps[after] - self._stamps[after - 1])
+        part = (stamp - stamps[after - 1]) / (stamps[after] - stamps[after - 1])
         return se2.compose(before, part * se2.between(before, self._pose(after)))
 
     def at_each(self, stamps: Floats) -> Floats:
@@ -159,9 +159,9 @@ class OdometryHistory:
         if not len(stamps):
             return np.zeros((0, 3))
         # Only the readings around: a scan must not take longer the longer the robot has been driving.
-        begin = max(bisect.bisect_left(self._stamps, stamps.min()) - 1, 0)
-        end = bisect.bisect_left(self._stamps, stamps.max()) + 1
-        readings, poses = np.array(self._stamps[begin:end]), np.array(self._poses[3 * begin : 3 * end]).reshape(-1, 3)
+        begin = max(bisect.bisect_left(self.stamps, stamps.min()) - 1, 0)
+        end = bisect.bisect_left(self.stamps, stamps.max()) + 1
+        readings, poses = self.stamps[begin:end], self._poses.rows[begin:end]
         after = np.minimum(np.searchsorted(readings, stamps), len(readings) - 1)
         result = poses[after]
         rows = np.flatnonzero((readings[after] > stamps) & (after > 0))
@@ -172,7 +172,7 @@ class OdometryHistory:
         return result
 
     def _pose(self, reading: int) -> se2.Pose:
-        return np.array(self._poses[3 * reading : 3 * reading + 3])
+        return np.array(self._poses.rows[reading])
 
 
 def wheel_travel(motion: se2.Pose) -> Floats:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from array import array
 from collections.abc import Iterable, Sequence
 from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
 from ..matching.line_matcher import ScanFeatures
 from .preprocessor import NO_FEATURES, ProcessedScan
@@ -22,7 +22,7 @@ class ScanSequence(Sequence[ProcessedScan]):
     """
 
     def __init__(self, scans: Iterable[ProcessedScan] = ()) -> None:
-        self._stamps, self._odometry, self._travel = array("d"), array("d"), array("d")
+        self._stamps, self._odometry, self._travel = GrowingArray(()), GrowingArray((3,)), GrowingArray(())
         self._features: dict[int, ScanFeatures] = {}  # by row; the other scans have none
         for scan in scans:
             self.append(scan)
@@ -33,9 +33,10 @@ class ScanSequence(Sequence[ProcessedScan]):
         return scans if isinstance(scans, ScanSequence) else cls(scans)
 
     def copy(self) -> ScanSequence:
-        """Return a copy that later scans do not change."""
+        """Return a copy that later scans do not change; it shares the numbers."""
         other = ScanSequence()
-        other._stamps, other._odometry, other._travel = self._stamps[:], self._odometry[:], self._travel[:]
+        other._stamps, other._odometry = self._stamps.copy(), self._odometry.copy()
+        other._travel = self._travel.copy()
         other._features = dict(self._features)
         return other
 
@@ -44,7 +45,7 @@ class ScanSequence(Sequence[ProcessedScan]):
         if scan.features is not NO_FEATURES:
             self._features[len(self)] = scan.features
         self._stamps.append(scan.stamp)
-        self._odometry.extend(scan.odometry.tolist())
+        self._odometry.append(scan.odometry)
         self._travel.append(scan.travel)
 
     def drop_features(self, rows: Iterable[int]) -> None:
@@ -65,23 +66,23 @@ class ScanSequence(Sequence[ProcessedScan]):
         if isinstance(row, slice):
             return ScanSequence(self[k] for k in range(*row.indices(len(self))))
         row = range(len(self))[row]
-        odometry = np.array(self._odometry[3 * row : 3 * row + 3])
-        return ProcessedScan(self._stamps[row], odometry, self._features.get(row, NO_FEATURES), self._travel[row])
+        stamp, travel = float(self.stamps[row]), float(self.travel[row])
+        return ProcessedScan(stamp, self.odometry[row].copy(), self.features(row), travel)
 
     @property
     def stamps(self) -> Floats:
-        """(n,) seconds."""
-        return np.array(self._stamps)
+        """(n,) seconds; not to be changed."""
+        return self._stamps.rows
 
     @property
     def odometry(self) -> Floats:
-        """(n, 3) odometry poses."""
-        return np.array(self._odometry).reshape(-1, 3)
+        """(n, 3) odometry poses; not to be changed."""
+        return self._odometry.rows
 
     @property
     def travel(self) -> Floats:
-        """(n,) metres of wheel travel from the middle of the sweep to its ends."""
-        return np.array(self._travel)
+        """(n,) metres of wheel travel from the middle of the sweep to its ends; not to be changed."""
+        return self._travel.rows
 
     @property
     def has_features(self) -> NDArray[np.bool_]:

@@ -52,6 +52,15 @@ def test_a_copy_does_not_change_with_the_history() -> None:
     np.testing.assert_array_equal(other.poses, poses)
 
 
+def test_a_copy_takes_no_memory_for_the_readings() -> None:
+    """Each save of a live run copies them, which are more the longer the robot drives."""
+    history = OdometryHistory.from_arrays(np.arange(100_000.0), np.zeros((100_000, 3)))
+    tracemalloc.start()
+    copy = history.copy()
+    assert tracemalloc.get_traced_memory()[1] < 0.01 * copy.poses.nbytes
+    tracemalloc.stop()
+
+
 def test_memory_of_a_reading_is_four_numbers() -> None:
     history = OdometryHistory()
     tracemalloc.start()
