@@ -50,9 +50,10 @@ CORNERS_PER_CURVE = 0.1
 """At 1 cm of noise; 0.04 in the full benchmark, above 1 without detection of curves."""
 EXTRACTION_TIME = 0.75
 """For a scan of 920 beams, relative to the reference; measured 0.55 and, with the same code, 0.68 on two processors."""
-RUN_LIMITS = {"office": (0.002, 1.35), "room": (0.0015, 0.95)}
+RUN_LIMITS = {"office": (0.002, 1.62), "room": (0.0015, 1.2)}
 """Error in metres (mean over the seeds), and time per scan relative to the reference. Measured 0.0013 and 1.08 to 1.22,
-0.0008 and 0.78 to 0.82, on two processors, idle and beside two programs that read and write memory all the time."""
+0.0008 and 0.78 to 0.82, on two processors, idle and beside two programs that read and write memory all the time; on a
+third one 1.45 and 1.05, with code that takes 1.14 and 0.80 on the others."""
 
 
 def run_checks() -> Iterator[Check]:
