@@ -41,9 +41,9 @@ def add_pair(
 ) -> bool:
     """Compare line `before` and the next line `after` with one curve, and write their corner, if any, to row `pairs`.
 
-    Without a corner the row of `corners` has only the evidence against a curve, and NaN. Chords of a wide curve meet at
-    so small an angle that they have no corner; so do the parts of a wall that is bent by no more than its roughness,
-    which are no chords. Returns False if the lines are not neighbours.
+    Without a corner, the row of `corners` has NaN and the evidence against a curve. Chords of a wide curve have no
+    corner, as the angle between them is too small. Lines without a corner are no chords if the curve bends by less
+    than the roughness of walls. Returns False if the lines are not neighbours.
     """
     first, second = output.lines[before], output.lines[after]
     last, following = wrap_index(output.spans[before, 4], count), wrap_index(output.spans[after, 3], count)

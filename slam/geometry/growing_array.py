@@ -52,8 +52,9 @@ class GrowingArray:
         self._storage[self._count - len(new) : self._count] = new
 
     def overwrite_last(self, row: ArrayLike) -> None:
-        """Replace the last row in place, without copying the others each time. Unlike other changes, it also changes
-        rows that were read before; but not those of copies.
+        """Replace the last row in place, without copying the others each time.
+
+        Unlike other changes, it also changes rows that were read before, but not those of copies.
         """
         if self._count == self._shared:
             self._move(len(self._storage))

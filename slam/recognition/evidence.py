@@ -2,8 +2,8 @@
 
 It is the logarithm of a likelihood ratio: to a place that only looks alike. There a cell fits with the chance that is
 counted at all other placements that were tried, where the mean of all cells counts as two more. So a bare wall that
-lies on a wall at every placement is no evidence, nor is a door among equal doors. Long walls stay, other things may
-change: furniture that was moved together is no evidence for a place where the walls do not fit.
+lies on a wall at every placement is no evidence, nor is a door among equal doors. Long walls change more rarely than
+other things, so furniture that was moved together does not outweigh walls that do not fit.
 
 Equations, whose symbols the code uses: docs/mathematics.md#unknown-start.
 """
@@ -32,7 +32,7 @@ MAX_FIT = 0.995
 UNCHANGED_PROBABILITIES = np.linspace(0.5, MAX_FIT, 100)
 # Probability that a cell of a long wall has changed, relative to that of another cell. Origin: chosen, as walls change
 # by their doors only; at these closures 2 and 7 % did not fit, and 34 and 28 % of the others.
-WALL_CHANGES = 0.2
+WALL_CHANGE_RATIO = 0.2
 # Placements that the mean fit of all cells counts as, for each cell. Origin: definition, as in Laplace's rule.
 PRIOR_COUNT = 2.0
 # Values of b, from almost no cell that fits to a place that looks as much alike as the others. Origin: numerical.
@@ -77,7 +77,7 @@ def chances_of_fit(placements: Sequence[CellFits]) -> Floats:
 def evidence_of(fits: CellFits, chance: Floats) -> float:
     """Return the evidence (nats) of the known cells, given the `chance` (n,) of each cell to fit."""
     fit, chance, on_wall = fits.fit[fits.known], chance[fits.known], fits.on_wall[fits.known]
-    changed = (1.0 - UNCHANGED_PROBABILITIES[:, None]) * np.where(on_wall, WALL_CHANGES, 1.0)
+    changed = (1.0 - UNCHANGED_PROBABILITIES[:, None]) * np.where(on_wall, WALL_CHANGE_RATIO, 1.0)
     right = _log_likelihoods(fit, _logit((1.0 - changed) * MAX_FIT + changed * chance))
     alike = _log_likelihoods(fit, _logit(chance) + ALIKE_OFFSETS[:, None])
     return float(np.log(np.mean(np.exp(right - right.max()))) + right.max() - alike.max())
