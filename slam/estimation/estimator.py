@@ -142,6 +142,7 @@ class Estimator:
         lost = self._frozen is not None
         self.state, self._frozen, self._earlier = self.result, None, None
         self.state.frozen, self.state.untracked_scans, self.state.tentative = False, [], []
+        self.state.last_view = None
         self.state.mapper.gauge.hold(self.state.mapper)
         if lost:
             self.begin_part(self.state.predict(odometry), odometry, kidnapped=True)

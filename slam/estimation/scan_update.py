@@ -16,6 +16,7 @@ from drivers import se2
 
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.membership import is_among
+from ..geometry.small_matrices import is_positive_definite
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
@@ -58,12 +59,14 @@ MAX_UNTRACKED_DISTANCE = 1.0
 class KeyframeUpdate:
     """Changes of the map by one keyframe.
 
+    scan          of the keyframe: the last one, or an earlier one after which nothing is seen
     observations  features of the keyframe and the landmarks they were associated with
     merge         walls that were found to be the same, if any
     loop          decision on a loop hypothesis, if there was one
     superseded    map before a loop was closed; None without a closure
     """
 
+    scan: ProcessedScan
     observations: KeyframeObservations
     merge: WallMerge | None
     loop: LoopDecision | None
@@ -96,12 +99,16 @@ def update_map(
 ) -> KeyframeUpdate | None:
     """Append a tracked scan to the trajectory, and make it a keyframe if the robot has moved far enough.
 
-    Returns the changes of the map; None if the scan did not become a keyframe.
+    If nothing is seen, the last tracked scan becomes a keyframe instead. Returns the changes of the map; None if no
+    scan became a keyframe.
     """
     update = None
     _extend_trajectory_by_tentative(state, scan.stamp, tracking)
     tracked = tracking.status is TrackingStatus.TRACKED
-    if tracked and is_due(state, tracking):
+    due = tracked and is_due(state, tracking)
+    if tracking.status is TrackingStatus.NO_FEATURES:
+        update = _add_last_view(state, timer)
+    if due:
         state.pose = tracking.registration.pose
         state.driven += 0.0 if state.anchor is None else state.spacings(state.anchor_pose, state.pose)
         familiar = _familiar_keyframe(state, tracking)
@@ -112,21 +119,41 @@ def update_map(
     elif tracked:
         learn_between_keyframes(state, scan, tracking)
     extend_trajectory(state, scan.stamp, tracking)
-    second_look = tracked and update is None and _stands_at_first_keyframe(state, scan.stamp)
-    state.second_look = (scan, tracking) if second_look else None
+    if tracked:
+        state.last_view = None if due else (scan, tracking)
     return update
 
 
 def add_second_look(state: SlamState) -> None:
-    """Make the last scan a keyframe if the robot has only stood where a part of the map begins.
+    """Make the last view a keyframe at the end, if the robot has only stood where a part of the map begins.
 
     A wall enters the map when a second keyframe has seen it, so there would be no map. While the robot may still drive
     on, a second look from the same place is no keyframe: with the same errors, it would count them as independent.
     """
-    if state.second_look is not None:
-        scan, tracking = state.second_look
-        state.second_look, state.pose = None, tracking.registration.pose
-        _add_keyframe(state, scan, tracking, StageTimer())
+    if state.last_view is not None and _stands_at_first_keyframe(state, state.last_view[0].stamp):
+        _add_view(state, *state.last_view, StageTimer())
+
+
+def _add_last_view(state: SlamState, timer: StageTimer) -> KeyframeUpdate | None:
+    """Make the last tracked scan a keyframe if it tells more than odometry of the motion since the last one.
+
+    The robot drives on where nothing is seen. From the last keyframe on, odometry's errors would count up to the next
+    view; from this one on, only those that no scan has corrected.
+    """
+    view, state.last_view = state.last_view, None
+    if view is None or state.frozen:
+        return None
+    tracking = view[1]
+    if is_positive_definite(tracking.predicted.information - tracking.registration.total_information):
+        return None
+    return _add_view(state, *view, timer)
+
+
+def _add_view(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
+    """Make an earlier scan a keyframe, the last one that was tracked."""
+    state.last_view, state.pose = None, tracking.registration.pose
+    state.driven += state.spacings(state.anchor_pose, state.pose)
+    return _add_keyframe(state, scan, tracking, timer)
 
 
 def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
@@ -241,4 +268,4 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     timer.lap("local map")
     decision = search_loop(state) if mapper.is_solved else None
     timer.lap("loops")
-    return KeyframeUpdate(observations, merge, decision)
+    return KeyframeUpdate(scan, observations, merge, decision)

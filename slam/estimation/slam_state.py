@@ -69,7 +69,7 @@ class SlamState:
     plan                 plan of the building that supports the map; None without one
     untracked_scans      the last scans in a row that fitted nowhere, or only tentatively
     tentative            stamps and results of the last scans in a row whose tentative poses were found one from another
-    second_look          last scan and its result, if the robot has only stood where a part of the map begins
+    last_view            last tracked scan and its result; None if it is a keyframe, or nothing has been seen since
     """
 
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
@@ -94,7 +94,7 @@ class SlamState:
         self.plan: PlanPrior | None = None
         self.untracked_scans: list[ProcessedScan] = []
         self.tentative: list[tuple[float, TrackingResult]] = []
-        self.second_look: tuple[ProcessedScan, TrackingResult] | None = None
+        self.last_view: tuple[ProcessedScan, TrackingResult] | None = None
 
     @classmethod
     def restored(
@@ -196,7 +196,8 @@ class SlamState:
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the base's pose in the map at `odometry`, regardless of the pose tracked so far."""
         self.tracker.move_to(pose, odometry)
-        self.pose, self.kidnapped, self.untracked_scans, self.tentative = pose, True, [], []
+        self.pose, self.kidnapped, self.untracked_scans = pose, True, []
+        self.tentative, self.last_view = [], None
         self.local_map = self.local_map_at(pose, RELOCALISED_RADIUS)
 
     def local_map_at(self, pose: se2.Pose, reach: float) -> LocalMap:
@@ -258,7 +259,7 @@ class SlamState:
         self.mapper.begin_part(measured=not self.kidnapped)
         self.mapper.free_space_evidence.clear()
         self.tracker.start_again(pose, odometry)
-        self.pose, self.untracked_scans, self.tentative = pose, [], []
+        self.pose, self.untracked_scans, self.tentative, self.last_view = pose, [], [], None
         self.local_map = empty_local_map()
         self.local_field.begin_part()
         self.loops.clear()
@@ -301,7 +302,7 @@ class SlamState:
         were motions in the map before.
         """
         links = replace(self.local_field.state, inserted=(), inserted_poses=np.zeros((0, 3)), successor=None)
-        self.mapper, self.trajectory, self.pose = mapper, trajectory, fix.pose
+        self.mapper, self.trajectory, self.pose, self.last_view = mapper, trajectory, fix.pose, None
         self.tracker.move_to(fix.pose, fix.odometry)
         self.loops.clear()
         self._rebuild_surroundings(scans, links)

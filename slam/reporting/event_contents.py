@@ -18,14 +18,14 @@ from ..preprocessing.preprocessor import ProcessedScan
 
 
 def keyframe_event(
-    scan: ProcessedScan, mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
+    mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timings: dict[str, float]
 ) -> KeyframeAdded:
     """Return the event of the last keyframe.
 
     sigma_range  standard deviation of a range, metres
     timings      milliseconds by stage of the scan's processing
     """
-    view = update.observations
+    scan, view = update.scan, update.observations
     return KeyframeAdded(
         index=mapper.keyframe_count - 1,
         stamp=scan.stamp,

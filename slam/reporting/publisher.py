@@ -121,13 +121,11 @@ class Publisher:
         """Publish a new localisation state."""
         self.publish(StateChanged(stamp, state.status.value, state.direction))
 
-    def publish_keyframe(
-        self, scan: ProcessedScan, mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timer: StageTimer
-    ) -> None:
+    def publish_keyframe(self, mapper: Mapper, update: KeyframeUpdate, sigma_range: float, timer: StageTimer) -> None:
         """Publish the last keyframe, its changes of the map, and at intervals the whole map."""
-        index, stamp = mapper.keyframe_count - 1, scan.stamp
+        index, stamp = mapper.keyframe_count - 1, update.scan.stamp
         if self._is_received(KeyframeAdded):
-            self.publish(keyframe_event(scan, mapper, update, sigma_range, dict(timer.laps)))
+            self.publish(keyframe_event(mapper, update, sigma_range, dict(timer.laps)))
         if update.merge is not None:
             merge = update.merge
             self.publish(WallsMerged(index, stamp, merge.kept, merge.absorbed, merge.distance))

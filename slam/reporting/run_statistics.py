@@ -61,14 +61,14 @@ class RunStatistics:
         self.failed_scans += tracking.status is TrackingStatus.FAILED
         self.featureless_scans += tracking.status is TrackingStatus.NO_FEATURES
 
-    def add_keyframe(self, stamp: float, update: KeyframeUpdate, timer: StageTimer) -> None:
+    def add_keyframe(self, update: KeyframeUpdate, timer: StageTimer) -> None:
         """Count a keyframe, its changes of the map and its times."""
         self.keyframe_times.append(timer.total)
         for stage, duration in timer.laps.items():
             self.stage_times[stage] = self.stage_times.get(stage, 0.0) + duration
         self.merged_walls += update.merge is not None
         if update.loop is not None:
-            self.add_loop(stamp, update.loop)
+            self.add_loop(update.scan.stamp, update.loop)
 
     def add_loop(self, stamp: float, decision: LoopDecision) -> None:
         """Add the row of a loop decision; the compared points are not kept."""

@@ -31,8 +31,8 @@ class ScanReport:
         statistics.add_tracking(result.tracking)
         publisher.publish_tracking(scan, result.tracking, mapper, state.odometry_model)
         if result.update is not None:
-            statistics.add_keyframe(scan.stamp, result.update, timer)
-            publisher.publish_keyframe(scan, result.mapper, result.update, sigma_range, timer)
+            statistics.add_keyframe(result.update, timer)
+            publisher.publish_keyframe(result.mapper, result.update, sigma_range, timer)
             self.add_rejected_loops(state, scan.stamp)
         if result.in_plan:
             publisher.publish(Notice(scan.stamp, "recognised in the plan", "INFO"))

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation, load_world
+from drivers.messages import Message, Odometry
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulation, WheelModel, World, load_world
 from slam import Slam
-from slam.config import Config, config_to_toml
+from slam.config import Config, MappingConfig, OdometryConfig, config_to_toml
 from slam.estimation.keyframe_selection import CLOSE_SHARE, MIN_EXPLAINED, is_due
 from slam.estimation.slam_state import SlamState
 from slam.estimation.tracking_checkpoint import Anchor
@@ -76,3 +79,33 @@ def test_where_learning_stopped_is_kept_with_a_session(tmp_path: Path) -> None:
     assert restored.keyframe == expected.keyframe
     for field in ("relative", "covariance", "odometry"):
         np.testing.assert_array_equal(getattr(restored, field), getattr(expected, field))
+
+
+VEER, OPEN = 0.1, 3.2
+"""Error of odometry (rad/m), and metres driven up to which something is in range."""
+
+
+def leaving_a_room() -> Iterator[Message]:
+    """Yield a drive out of a room to where nothing is in range; odometry veers as long as something is."""
+    walls = np.array([[0.0, 0.0, 0.0, 3.0], [0.0, 3.0, 3.5, 3.0], [0.0, 0.0, 3.5, 0.0]])
+    world = World("room", "an open room", walls, np.zeros((0, 3)), np.array([[1.0, 1.5], [9.0, 1.5]]), 0.4)
+    exact = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
+    for message in Simulation(world, 0, lidar=LidarModel(range_max=2.0), wheels=exact):
+        if isinstance(message, Odometry):
+            driven = float(message.pose[0])
+            heading, beyond = VEER * min(driven, OPEN), max(driven - OPEN, 0.0)
+            end_of_arc = np.array([math.sin(heading), 1.0 - math.cos(heading), VEER * heading]) / VEER
+            yield replace(message, pose=se2.compose(end_of_arc, np.array([beyond, 0.0, 0.0])))
+        else:
+            yield message
+
+
+def test_the_last_view_before_nothing_is_seen_is_a_keyframe() -> None:
+    """Up to it, scans correct odometry, however long ago the last keyframe was."""
+    mapping, odometry = MappingConfig(keyframe_distance=4.4), OdometryConfig(learn=False)
+    slam = Slam(Config(mapping=mapping, odometry=odometry))
+    for message in leaving_a_room():
+        slam.add(message)
+    before, last = slam.finish().keyframes[-2:]
+    assert last[0] > OPEN
+    assert abs(last[2]) < 0.04 < 0.5 * VEER * (last[0] - before[0])
