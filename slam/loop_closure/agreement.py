@@ -30,7 +30,7 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from .criteria import MIN_INDEPENDENT, MIN_KNOWN, SUPPORT_RATIO, differ, fits, is_determined
+from .criteria import MIN_INDEPENDENT, MIN_KNOWN, SUPPORT_RATIO, admits_closure, differ, fits, is_determined
 from .decision import LoopDecision, LoopMatch
 from .judgement import Judgement
 from .look import Look, Submaps
@@ -112,11 +112,12 @@ class LoopAgreement:
 
     @property
     def refuted(self) -> bool:
-        """True if looks contradict the motion that odometry measured between two parts, and support no other one.
+        """True if looks contradict the motion that odometry measured between two parts, and support none near it.
 
-        The motion is the same all the time, so contradictions count however long ago they were.
+        The motion is the same all the time, so contradictions count however long ago they were. A hypothesis that its
+        uncertainty excludes would never be accepted.
         """
-        return len(self._estimate.contradictions) >= MIN_INDEPENDENT and not self._hypotheses
+        return len(self._estimate.contradictions) >= MIN_INDEPENDENT and not any(h.admitted for h in self._hypotheses)
 
     def number(self, decision: LoopDecision) -> LoopDecision:
         """Return a decision with the next number."""
@@ -236,11 +237,11 @@ class LoopAgreement:
                     self._add_support(hypothesis, look, vote, local_field)
             elif vote.match.known >= MIN_KNOWN:
                 hypothesis.contradictions.append(look.travelled)
-        self._hypotheses += [
-            LoopHypothesis(vote.motion, [look.loop_match(vote.old, vote.match)])
-            for vote in new
-            if vote.match.quality >= least
-        ]
+        for vote in new:
+            if vote.match.quality >= least:
+                hypothesis = LoopHypothesis(vote.motion)
+                _support(hypothesis, look, vote)
+                self._hypotheses.append(hypothesis)
         self._merge_equal(look)
 
     def _merge_equal(self, look: Look) -> None:
@@ -276,8 +277,7 @@ class LoopAgreement:
             self.returns.append(Return.of(look, vote.old, vote.match))
             self._estimate = LoopHypothesis(np.zeros(3))
         else:
-            hypothesis.motion = vote.motion
-            hypothesis.support.append(look.loop_match(vote.old, vote.match))
+            _support(hypothesis, look, vote)
 
     def _note_rejections(self, look: Look) -> None:
         """Keep, for reports, why the hypotheses that the look supports are not accepted."""
@@ -292,3 +292,10 @@ class LoopAgreement:
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""
         return Judgement(look, self._estimate, self._all_hypotheses, self._returns, self._joins)
+
+
+def _support(hypothesis: LoopHypothesis, look: Look, vote: Vote) -> None:
+    """Add the match of a look to the support of a hypothesis, which becomes the motion that follows from the match."""
+    hypothesis.motion = vote.motion
+    hypothesis.support.append(look.loop_match(vote.old, vote.match))
+    hypothesis.admitted = admits_closure(look, vote.old, vote.match.pose)

@@ -45,6 +45,11 @@ def is_determined(match: SubmapMatch) -> bool:
     return bool(np.linalg.eigvalsh(match.covariance[:2, :2])[-1] < MAX_MATCH_SIGMA**2)
 
 
+def admits_closure(look: Look, old: int, relative: se2.Pose) -> bool:
+    """Return True if the estimate's uncertainty admits a closure by a pose of the look in that of an old place."""
+    return look.squared_distance(old, relative) < MAX_CLOSED_DISTANCE
+
+
 def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
     """Return True if two motions in the map lead the robot to different places."""
     return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,12 +20,15 @@ class LoopHypothesis:
     support         latest match of each look that supports it
     contradictions  metres driven up to each look that contradicts it
     rejection       decision against it at the last look that supports it, for reports; not stored in sessions
+    admitted        true unless the estimate's uncertainty excludes its closure at the last look that supports it; not
+                    stored in sessions
     """
 
     motion: se2.Pose
     support: list[LoopMatch] = field(default_factory=list)
     contradictions: list[float] = field(default_factory=list)
     rejection: LoopDecision | None = None
+    admitted: bool = True
 
     @property
     def span(self) -> float:
@@ -34,7 +37,7 @@ class LoopHypothesis:
 
     def copy(self) -> LoopHypothesis:
         """Return an independent copy."""
-        return LoopHypothesis(self.motion, list(self.support), list(self.contradictions), self.rejection)
+        return replace(self, support=list(self.support), contradictions=list(self.contradictions))
 
     def support_since(self, travelled: float) -> int:
         """Return the number of looks that support it from a distance driven (metres) on."""

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from drivers import se2
 
-from .criteria import MAX_CLOSED_DISTANCE, differ, fits, is_determined
+from .criteria import admits_closure, differ, fits, is_determined
 from .look import Look
 from .loop_hypothesis import LoopHypothesis
 from .submap_search import SubmapMatch
@@ -53,7 +53,7 @@ def is_recognised(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -
     fitting = [*found, *(vote for _, vote in tested if vote is not None and fits(vote.match))]
     least = least_quality(fitting)
     good = [vote for vote in fitting if vote.match.quality >= least]
-    return any(look.squared_distance(vote.old, vote.match.pose) < MAX_CLOSED_DISTANCE for vote in good)
+    return any(admits_closure(look, vote.old, vote.match.pose) for vote in good)
 
 
 def least_quality(votes: Sequence[Vote]) -> float:
