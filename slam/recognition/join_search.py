@@ -77,6 +77,10 @@ class JoinSearch:
         for agreement in self.agreements.values():
             agreement.exclude(motion)
 
+    def take_rejected(self, *, ended: bool = False) -> list[LoopDecision]:
+        """Return the decisions against joins that looks agree on, as `LoopAgreement.take_rejected` does."""
+        return [decision for search in self.agreements.values() for decision in search.take_rejected(ended=ended)]
+
     def search(self, mapper: Mapper, local_field: LocalField) -> LoopDecision | None:
         """Return the decision to join the last part of the map with another one, if it is recognised there."""
         parts, keyframes = mapper.landmarks.parts, np.arange(mapper.keyframe_count)

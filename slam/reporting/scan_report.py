@@ -42,11 +42,12 @@ class ScanReport:
             publisher.publish_loop(result.retracted, scan.stamp, mapper, result.mapper)
 
     def add_rejected_loops(self, state: SlamState, stamp: float, *, ended: bool = False) -> None:
-        """Report the hypotheses of loops that were given up; if the run has `ended`, also all others.
+        """Report the hypotheses of loops and joins that were given up; if the run has `ended`, also all others.
 
         stamp  of the scan at which this is reported, seconds
         """
-        for decision in state.loops.take_rejected(ended=ended):
+        joins = [state.loops.number(decision) for decision in state.joins.take_rejected(ended=ended)]
+        for decision in (*state.loops.take_rejected(ended=ended), *joins):
             self._statistics.add_loop(state.keyframe_stamps[decision.keyframe], decision)
             self._publisher.publish_rejected_loop(decision, stamp, state.mapper)
 

@@ -19,10 +19,14 @@ from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
 from slam.loop_closure.agreement import LoopAgreement
+from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.convergence import converge
 from slam.mapping.part_gauge import PartGauge
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
+from slam.reporting.publisher import Publisher
+from slam.reporting.run_statistics import RunStatistics
+from slam.reporting.scan_report import ScanReport
 
 from ..simulated_worlds import furnished_room
 
@@ -143,6 +147,19 @@ def test_a_part_is_searched_everywhere_if_scans_contradict_the_place_where_odome
     estimator, joined = lose(scans, np.array(shift), kidnapped=False, at=DURATION / 3.0)
     assert joined == estimator.state.mapper.landmarks.parts.firsts[1:]
     assert position_errors(estimator, furnished_drive).max() < 0.03
+
+
+def test_the_report_states_why_a_part_was_not_joined(scans: list[ProcessedScan]) -> None:
+    """The drive ends before enough looks at the earlier part agree; the number can be given to `wclm correct`."""
+    estimator, joined = lose(scans[: len(scans) // 2], np.array([0.02, 0.01, 0.01]), kidnapped=False)
+    assert not joined
+    statistics = RunStatistics()
+    ScanReport(Publisher([]), statistics).end(estimator.state, scans[-1].stamp)
+    first, (row, *_) = estimator.state.mapper.landmarks.parts.firsts[1], statistics.loops
+    assert row["status"] == LoopStatus.REJECTED
+    assert row["old"] < first <= row["keyframe"]
+    assert "looks" in row["reason"]
+    assert len({row["candidate"] for row in statistics.loops}) == len(statistics.loops)
 
 
 @pytest.mark.parametrize("kidnapped", [False, True])
