@@ -305,6 +305,7 @@ class Slam:
         end = self._journal.scans[-1].stamp
         state, journal = self.slam_state, self._journal
         self._report.end(state, end)
+        self._stored.add_last_decisions(self._session, state.loops)
         summary = self._summary(end)
         summary |= settle_trajectory(state, journal, self._publisher, refined=self._refine and self._extends_map)
         if self._refine:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,6 +15,7 @@ from .estimation.map_view import covariances_when_last_seen, map_features
 from .estimation.slam_state import SlamState
 from .events import Finished
 from .io.stored_session import StoredSession
+from .loop_closure.agreement import LoopAgreement
 from .preprocessing.preprocessor import Preprocessor
 from .reporting.run_statistics import RunStatistics
 
@@ -43,6 +45,15 @@ class RunSession:
         session.scans, session.queued_scans = self.journal.scans.copy(), self.preprocessor.queued
         return session
 
+    def add_last_decisions(self, session: StoredSession, loops: LoopAgreement) -> None:
+        """Add the decisions that the end of the run has led to, with numbers by `loops`, to a session from before it.
+
+        Those about keyframes of scans that are queued in the session are left out: they will be decided again.
+        """
+        decisions, keyframes = self._loop_decisions, session.slam_state.mapper.keyframe_count
+        session.loop_decisions = [decision for decision in decisions if decision["keyframe"] < keyframes]
+        session.slam_state.loops.number_after(loops)
+
     def snapshot(self, state: SlamState, summary: dict[str, Any], after: float) -> RunSnapshot:
         """Return a copy of the run while it goes on; for `summary` and `after` see `RunSnapshot`."""
         segments = self.journal.segments
@@ -63,8 +74,13 @@ class RunSession:
             noise=self.preprocessor.noise,
             second_noise=self.preprocessor.second_noise,
             recordings=[] if earlier is None else list(earlier.recordings),
-            loop_decisions=[*(() if earlier is None else earlier.loop_decisions), *self.statistics.loops],
+            loop_decisions=self._loop_decisions,
         )
+
+    @property
+    def _loop_decisions(self) -> list[Mapping[str, Any]]:
+        """Loop decisions so far, with those of the session that the run continues."""
+        return [*(() if self.earlier is None else self.earlier.loop_decisions), *self.statistics.loops]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -124,6 +124,10 @@ class LoopAgreement:
         self._candidates += 1
         return replace(decision, candidate=self._candidates)
 
+    def number_after(self, other: LoopAgreement) -> None:
+        """Give no number from now on that another search has given."""
+        self._candidates = max(self._candidates, other._candidates)
+
     def take_rejected(self, *, ended: bool = False) -> list[LoopDecision]:
         """Return the decisions against hypotheses that were given up since the last call; all if the run has `ended`.
 

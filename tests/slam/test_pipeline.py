@@ -20,6 +20,8 @@ from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated
 from slam.io.tum import Trajectory
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
+from slam.loop_closure.decision import LoopDecision, LoopMatch
+from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.mapper import Mapper
 from slam.preprocessing.deskew import sweep_middle
 
@@ -318,6 +320,37 @@ def test_loop_closure_can_be_switched_off(drive: list[Message]) -> None:
         with nullcontext() if config is off else pytest.raises(AssertionError, match="searched for a loop"):
             for message in drive:
                 slam.add(message)
+
+
+class UndecidedSearch(LoopAgreement):
+    """Loop search that still follows a hypothesis when the run ends."""
+
+    def take_rejected(self, *, ended: bool = False) -> list[LoopDecision]:
+        return [self.number(undecided(2))] if ended else []
+
+
+def undecided(keyframe: int) -> LoopDecision:
+    match, none = LoopMatch(keyframe, 0, np.zeros(3), np.eye(3), 6.0, 0.9, 0.9), np.zeros((0, 2))
+    return LoopDecision(
+        0, keyframe, 0, np.zeros(3), np.zeros(3), LoopStatus.REJECTED, "too few looks", (match,),
+        0.0, 0.0, (), 0, (none, none),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("queued", [False, True])
+def test_a_loop_that_is_rejected_as_the_run_ends_has_its_number_in_the_session(
+    drive: list[Message], queued: bool
+) -> None:
+    """So `wclm correct --close` finds it, and no loop of a run that continues the session gets the same number."""
+    last = max(k for k, message in enumerate(drive) if isinstance(message, Scan if queued else Odometry))
+    slam = Slam(loops=UndecidedSearch())
+    for message in drive[: last + 1]:
+        slam.add(message)
+    finished, session = slam.finish(), slam.session
+    assert bool(session.queued_scans) == queued
+    assert session.loop_decisions == finished.summary["loop_decisions"]
+    assert [row["candidate"] for row in session.loop_decisions] == [1]
+    assert session.slam_state.loops.number(undecided(2)).candidate == 2
 
 
 def test_keyframes_are_as_far_apart_as_configured(drive: list[Message], drive_result: Finished) -> None:
