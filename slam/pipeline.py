@@ -313,6 +313,8 @@ class Slam:
         stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
         after = self._results_after
         stamps, poses = stamps[stamps > after], poses[stamps > after]
+        own = stamps > journal.resumed_at
+        self._publisher.publish_unseen(journal.scans.stamps[journal.first_row :], stamps[own], poses[own])
         self._publisher.publish_residuals(float(stamps[-1]), state.mapper)
         suspects = check_run(
             state, journal, self._publisher, start=float(stamps[0]), after=after, predicted=self._motions.predicted

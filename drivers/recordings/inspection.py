@@ -8,14 +8,11 @@ import numpy as np
 
 from .. import se2
 from ..elapsed import elapsed
+from ..gaps import MIN_GAP, UnseenStretch, longest_period, unseen_stretches
 from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport, YawRate
 from ..path_length import path_length
 from .odometry_speed import MIN_INTERVAL
 
-GAP_RATIO = 4.0
-"""A gap is longer than this ratio times the 90th percentile of the periods, and longer than MIN_GAP."""
-MIN_GAP = 0.5
-"""Seconds."""
 MAX_SPEED, MAX_TURN_RATE = 5.0, 10.0
 """m/s and rad/s. Faster odometry than any indoor robot is a jump."""
 MIN_JUMP, MIN_JUMP_TURN = 0.1, 0.2
@@ -61,6 +58,7 @@ class RecordingInfo:
     scan_gaps: list[Gap] = field(default_factory=list)
     odometry_gaps: list[Gap] = field(default_factory=list)
     odometry_jumps: list[float] = field(default_factory=list)  # stamps
+    unseen: list[UnseenStretch] = field(default_factory=list)  # of odometry, before the first and after the last scan
     report: SourceReport = field(default_factory=SourceReport)
     warnings: list[str] = field(default_factory=list)
 
@@ -125,7 +123,7 @@ def inspect(source: Source) -> RecordingInfo:
     info.gyroscope_rate, _ = _rate_and_gaps(np.array(yaw_rates))
     _describe_scans(info, scans)
     times = np.array(stamps)
-    _describe_odometry(info, times, np.array(poses).reshape(-1, 3))
+    _describe_odometry(info, times, np.array(poses).reshape(-1, 3), np.array(scans.stamps))
     everything = np.concatenate([times, scans.stamps])
     if len(everything):
         info.start, info.duration = float(everything.min()), float(np.ptp(everything))
@@ -152,7 +150,7 @@ def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
     info.mounts = list(scans.mounts.values())
 
 
-def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats) -> None:
+def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats, scans: Floats) -> None:
     info.odometry_rate, info.odometry_gaps = _rate_and_gaps(stamps)
     if len(stamps) < 2:
         return
@@ -164,18 +162,18 @@ def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats) -> No
     )
     info.odometry_jumps = stamps[1:][jumped].tolist()
     displacements = np.where(jumped[:, None], 0.0, np.diff(poses[:, :2], axis=0))
-    info.path_length = path_length(np.concatenate([[[0.0, 0.0]], np.cumsum(displacements, axis=0)]))
+    positions = np.concatenate([[[0.0, 0.0]], np.cumsum(displacements, axis=0)])
+    info.path_length = path_length(positions)
+    info.unseen = unseen_stretches(scans, stamps, positions)
 
 
 def _rate_and_gaps(stamps: Floats) -> tuple[float | None, list[Gap]]:
     """Return the rate, 1 / median period (Hz), and the gaps; (None, []) if there are no two different stamps."""
-    periods = np.diff(stamps)
-    positive = periods[periods > 0]
-    if not len(positive):
+    periods, longest = np.diff(stamps), longest_period(stamps)
+    if longest is None:
         return None, []
-    typical = float(np.percentile(positive, 90, method="lower"))
-    long = np.flatnonzero(periods > max(GAP_RATIO * typical, MIN_GAP))
-    return 1.0 / float(np.median(positive)), [Gap(float(stamps[i]), float(periods[i])) for i in long]
+    long = np.flatnonzero(periods > longest)
+    return 1.0 / float(np.median(periods[periods > 0])), [Gap(float(stamps[i]), float(periods[i])) for i in long]
 
 
 def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> list[str]:
@@ -203,6 +201,9 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
     warnings += _gap_warnings("odometry", info.odometry_gaps, start)
     if info.scans and info.odometry:
         warnings += _overlap_warnings(np.array(scans.stamps), odometry, start)
+    for one in info.unseen:
+        driven = f"in which the robot drives {one.length:.1f} m"
+        warnings.append(f"odometry without scans for {one.duration:.1f} s at {elapsed(one.start - start)}, {driven}")
     if info.odometry_jumps:
         count, first = len(info.odometry_jumps), info.odometry_jumps[0]
         limits = f"{MAX_SPEED:g} m/s or {MAX_TURN_RATE:g} rad/s"

@@ -60,6 +60,7 @@ class LoopAgreement:
     def __init__(self, search: Search = Look.search, *, joins: bool = False) -> None:
         self._search_place, self._joins = search, joins
         self._given_up: list[LoopHypothesis] = []
+        self._candidates = 0
         self.returns: list[Return] = []
         """Looks of this run that agree with the estimate, for reports."""
         self._restore(LoopAgreementState(), Submaps())
@@ -126,7 +127,7 @@ class LoopAgreement:
 
     def number_after(self, other: LoopAgreement) -> None:
         """Give no number from now on that another search has given."""
-        self._candidates = max(self._candidates, other._candidates)
+        self._candidates = max(self._candidates, other.state.candidates)
 
     def take_rejected(self, *, ended: bool = False) -> list[LoopDecision]:
         """Return the decisions against hypotheses that were given up since the last call; all if the run has `ended`.

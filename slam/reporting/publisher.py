@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers import se2
+from drivers.gaps import unseen_stretches
 
 from ..checks import Suspect
 from ..estimation.map_view import covariances_when_last_seen, map_features
@@ -29,6 +30,7 @@ from ..events import (
     WallsMerged,
     WallsRemoved,
 )
+from ..geometry.segments import Floats
 from ..localisation.state import LocalisationState
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
@@ -110,6 +112,18 @@ class Publisher:
         """Publish at the end of a run of a number of `scans` how often odometry was far off from them, if ever."""
         if (notice := self._deviations.summary(scans)) is not None:
             self.publish(notice)
+
+    def publish_unseen(self, scans: Floats, stamps: Floats, poses: Floats) -> None:
+        """Publish at the end of a run where the path begins before the first scan, or goes on after the last one.
+
+        scans   (m,) stamps of the scans, seconds
+        stamps  (n,) of the path
+        poses   (n, 3) of the path
+        """
+        for one in unseen_stretches(scans, stamps, poses[:, :2]):
+            where = "before the first scan" if one.start < scans[0] else "after the last scan"
+            text = f"{one.duration:.1f} s {where} the robot drives {one.length:.1f} m: the path is by odometry alone"
+            self.publish(Notice(one.start, text))
 
     def publish_suspects(self, suspects: Sequence[Suspect], keyframe_stamps: Sequence[float], start: float) -> None:
         """Publish the findings of the checks of a finished run, with times since the stamp `start` (seconds)."""

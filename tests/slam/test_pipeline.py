@@ -267,6 +267,17 @@ def test_with_empty_scans_only_the_trajectory_is_odometry(drive: list[Message]) 
     np.testing.assert_allclose(moved[:, :2], se2.between(told[0], told)[:, :2], atol=0.02)
 
 
+@pytest.mark.parametrize(("first", "last", "where"), [(4.0, 20.0, "before the first"), (0.0, 8.0, "after the last")])
+def test_a_path_without_scans_at_its_ends_is_a_warning(
+    drive: list[Message], first: float, last: float, where: str
+) -> None:
+    """There the path is by odometry alone, however far the robot drives."""
+    listener = EventCollector()
+    run([m for m in drive if not isinstance(m, Scan) or first <= m.stamp - drive[0].stamp <= last], listener=listener)
+    (text,) = [notice.text for notice in listener.of(Notice) if notice.level == "WARN"]
+    assert f"{where} scan the robot drives" in text
+
+
 def test_the_number_of_beams_may_change(drive: list[Message]) -> None:
     messages: list[Message] = []
     for k, message in enumerate(drive):

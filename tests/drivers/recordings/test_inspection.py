@@ -72,6 +72,14 @@ def test_good_recording_is_described_without_warnings() -> None:
         ([*drive(), *[scan(30.0 + 0.1 * i) for i in range(9)]], "1 gap in the scans, the longest 20.0 s"),
         ([*drive(), *[scan(10.1 + 0.1 * i) for i in range(50)]], "scans without odometry for 5.0 s at 0:10"),
         ([*[scan(-3.0 + 0.1 * i) for i in range(29)], *drive()], "scans without odometry for 3.0 s at 0:00"),
+        (
+            [*drive(), *[odometry(10.1 + 0.1 * i, 5.0 + 0.05 * i) for i in range(60)]],
+            "odometry without scans for 6.0 s at 0:09, in which the robot drives 3.0 m",
+        ),
+        (
+            [*[odometry(-4.0 + 0.1 * i, 0.05 * i - 2.0) for i in range(40)], *drive()],
+            "odometry without scans for 4.0 s at 0:00, in which the robot drives 2.0 m",
+        ),
         ([*drive(), odometry(10.1, x=50.0)], "1 jump of the odometry"),
         ([odometry(0.1 * i, x=40.0 * i) for i in range(50)], "is it in millimetres or degrees?"),
         ([scan(0.1 * i, offset=0.5) for i in range(9)], "longer than a revolution"),
