@@ -12,7 +12,7 @@ from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
-from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, ScanClock, VelocityFilter
+from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
 from .slip_statistics import SlipStatistics
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
@@ -59,6 +59,11 @@ class PosePredictor:
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
         self._tentative = self._rival = self._before_slip = None
+
+    @property
+    def periods_since_fix(self) -> float:
+        """Time from the last fix to the last scan, in periods of the lidar; 0 if no slip is possible."""
+        return 0.0 if not self._since_fix else self._since_fix / max(self._clock.period, MIN_PERIOD)
 
     def correct(self, pose: se2.Pose) -> None:
         """Replace the pose of the last fix, and predict from it from now on."""

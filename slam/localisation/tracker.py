@@ -193,8 +193,11 @@ class Tracker:
             return TrackingStatus.NO_FEATURES, False
         if not match.plausible or (slipped and chosen.squared_distance(pose) > MAX_SLIP**2):
             return TrackingStatus.FAILED, False
-        # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
-        agree_for_long = self._untracked_in_a_row + 1 >= MAX_UNTRACKED_SCANS and not self.view_changed
+        # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
+        # the view, nor so many missing scans that it would be lost if these had fitted nowhere.
+        count = self._untracked_in_a_row + 1
+        unseen = self._predictor.periods_since_fix - count >= MAX_UNTRACKED_SCANS
+        agree_for_long = count >= MAX_UNTRACKED_SCANS and not (self.view_changed or unseen)
         if slipped or (confirmed and (match.poor or _ambiguous(match)) and not agree_for_long):
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirmed or contradicts

@@ -92,14 +92,19 @@ class ScanClock:
         """Latest differences of stamps."""
         return tuple(self._latest)
 
+    @property
+    def period(self) -> float:
+        """Median of the latest differences of stamps, seconds; there must be one."""
+        ordered = self._ordered
+        return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+
     def interval(self, stamp: float) -> float:
         """Return the seconds from the last scan to one at `stamp`, which becomes the last; 0 for the first."""
         last, self.last = self.last, stamp
         if last is None:
             return 0.0
         self._add(stamp - last)
-        ordered = self._ordered
-        period = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+        ordered, period = self._ordered, self.period
         in_bursts = period < MIN_PERIOD or ordered[0] < MIN_INTERVAL * period
         return sum(ordered) / len(ordered) if in_bursts else max(stamp - last, period)
 

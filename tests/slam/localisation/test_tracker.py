@@ -18,7 +18,7 @@ from slam.events import Notice
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.match_target import MatchTarget
 from slam.localisation.tracker import Tracker
-from slam.localisation.tracking import TrackingStatus
+from slam.localisation.tracking import TrackingResult, TrackingStatus
 from slam.mapping.local_map import empty_local_map
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.offset_tiles import FIELD_CELL
@@ -32,6 +32,8 @@ from ..outlines import noisy_field, outline, scan_points, visible, with_noise
 
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
 WIDE = np.diag(1 / np.array([0.6, 0.6, np.radians(25.0)]) ** 2)  # information of a prediction after odometry has failed
+STANDS = np.array([1.8, 1.7, -0.35])
+THINGS = (2.4, 1.4), (1.2, 2.3), (0.9, 0.8)  # corners of things around STANDS that are not in the map
 ROOM_FIELD = noisy_field(ROOM, np.array([1.5, 1.5, 0.0]))
 
 
@@ -181,8 +183,11 @@ def test_no_notice_without_a_failure() -> None:
     assert noticed == []
 
 
-def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
-    """No scan came for ten seconds. Odometry is wrong, and the robot has not driven on as before the gap."""
+def results_after_gap(gap: float, scans: int, room: Floats = ROOM) -> tuple[Tracker, list[TrackingResult]]:
+    """Return the results of scans of a robot that stands, after a drive and some seconds without scans.
+
+    Odometry is wrong, and the robot has not driven on as before the gap; see STANDS.
+    """
     tracker = Tracker(OdometryModel(OdometryConfig()))
     target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
     for k in range(12):
@@ -190,9 +195,26 @@ def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
         if not k:
             tracker.move_to(pose, pose)
         tracker.track(0.1 * k, pose, seen_from(pose), target)
-    stands, odometry = np.array([1.8, 1.7, -0.35]), se2.compose(pose, np.array([0.8, 0.9, 0.8]))
-    poses = [tracker.track(t, odometry, seen_from(stands), target).pose for t in (11.1, 11.2)]
-    assert np.all(np.abs(se2.between(stands, poses[-1])) < [0.05, 0.05, 0.03])
+    odometry, seen = se2.compose(pose, np.array([0.8, 0.9, 0.8])), seen_from(STANDS, room)
+    return tracker, [tracker.track(1.1 + gap + 0.1 * k, odometry, seen, target) for k in range(scans)]
+
+
+def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
+    _, results = results_after_gap(10.0, 2)
+    assert np.all(np.abs(se2.between(STANDS, results[-1].pose)) < [0.05, 0.05, 0.03])
+
+
+@pytest.mark.parametrize(("gap", "lost"), [(0.4, False), (10.0, True)])
+def test_scans_that_fit_badly_do_not_confirm_each_other_after_a_long_gap(gap: float, lost: bool) -> None:
+    """A robot that stands among things that were not there finds the same pose each time, which proves nothing.
+
+    In a short gap it cannot have left for a place that looks similar.
+    """
+    things = [outline([(x, y), (x + 0.5, y), (x + 0.5, y + 0.5), (x, y + 0.5)]) for x, y in THINGS]
+    tracker, results = results_after_gap(gap, 4, np.concatenate([ROOM, *things]))
+    assert all(result.poor for result in results)
+    assert (results[-1].status is TrackingStatus.TRACKED) is not lost
+    assert tracker.lost is lost
 
 
 @pytest.mark.parametrize("slips", [False, True])
