@@ -19,16 +19,16 @@ def find_suspects(drive: Drive) -> list[Suspect]:
         return []
     steps = judge_steps(sampled)
     misplaced = list(misplaced_scans(sampled, steps))
-    misplaced += [
+    changed = [
         suspect
         for suspect in changed_views(sampled)
         if not any(other.first <= suspect.stamp <= other.last for other in misplaced)
     ]
-    # at a misplaced scan, the path says nothing about odometry
+    # where the view changes abruptly, the path says nothing about odometry
     odometry = [
         suspect
         for suspect in (wrong_odometry(sampled, steps) if sampled.measured else ())
-        if not any(suspect.first <= other.stamp <= suspect.last for other in misplaced)
+        if not any(suspect.first <= other.stamp <= suspect.last for other in changed)
     ]
-    found = [*misplaced, *odometry, *contradicting_passes(sampled)]
+    found = [*misplaced, *changed, *odometry, *contradicting_passes(sampled)]
     return sorted(found, key=lambda suspect: (suspect.check == ODOMETRY, -suspect.weight, suspect.stamp))

@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 
 from ..formatting import counted
-from ..geometry.segments import Integers
+from ..geometry.segments import Floats, Integers
 from ..odometry.history import wheel_travel
 from .drive import Drive
 from .row_groups import consecutive_groups
@@ -37,11 +37,17 @@ def misplaced_scans(drive: Drive, steps: Steps) -> Iterator[Suspect]:
     Either the scan fits the scans before it better there, or the step departs from odometry although the scan fits
     about as well at odometry's motion.
     """
-    gains = np.flatnonzero(steps.gain > steps.threshold).tolist()
-    found = [k for k in gains if _displacement(drive, k + 1, steps.alternative[k]) > MIN_DISPLACEMENT]
-    for group in consecutive_groups(np.array(found, dtype=np.int64), MAX_GAP):
+    for group in consecutive_groups(np.flatnonzero(_misplacements(drive, steps)), MAX_GAP):
         worst = int(group[np.argmax(steps.gain[group])])
         yield _suspect(drive, PLACEMENT, group, worst, steps.gain[worst] / steps.threshold, _text(drive, steps, worst))
+
+
+def _misplacements(drive: Drive, steps: Steps) -> Floats:
+    """Return (n - 1,) the metres (RMS) by which the scan of each step is misplaced, zero if it is not."""
+    metres = np.zeros(len(steps.gain))
+    for k in np.flatnonzero(steps.gain > steps.threshold).tolist():
+        metres[k] = _displacement(drive, k + 1, steps.alternative[k])
+    return np.where(metres > MIN_DISPLACEMENT, metres, 0.0)
 
 
 def changed_views(drive: Drive) -> Iterator[Suspect]:
@@ -85,7 +91,9 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
     """Yield the intervals in which the scans show that odometry is wrong by a large share of the motion.
 
     A late reading is not such an error: odometry must also be wrong from the scan before the interval to the one after.
+    The path may be wrong there by as much as the scans in between are misplaced, so odometry must be wrong by more.
     """
+    misplaced = _misplacements(drive, steps)
     for group in consecutive_groups(np.flatnonzero(steps.slip > 0.0), MAX_GAP):
         evidence = float(steps.slip[group].sum())
         before, after = max(int(group[0]) - 1, 0), min(int(group[-1]) + 2, len(drive) - 1)
@@ -93,7 +101,7 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
         measured = se2.between(drive.odometry[before], drive.odometry[after])
         wrong = se2.between(measured, driven)
         lasting = wheel_travel(wrong) > GROSS_ERROR * max(wheel_travel(driven), wheel_travel(measured))
-        slip = _displacement(drive, after, se2.compose(drive.poses[before], measured))
+        slip = _displacement(drive, after, se2.compose(drive.poses[before], measured)) - misplaced[before:after].sum()
         if evidence > steps.threshold and lasting and slip > MIN_SLIP:
             worst = int(group[np.argmax(steps.slip[group])])
             text = (

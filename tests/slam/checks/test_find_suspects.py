@@ -110,6 +110,18 @@ def test_frozen_odometry_is_found() -> None:
     assert found.last < 50.0 + SECONDS
 
 
+def test_frozen_odometry_is_found_although_a_scan_is_misplaced_meanwhile() -> None:
+    """The path may be wrong by the displacement of the scan, which is far less than what odometry has missed."""
+    drive = simulated_drive("office")
+    frozen, begin, end = drive.odometry.copy(), row_at(drive, 40.0), row_at(drive, 50.0)
+    frozen[begin:end] = frozen[begin]
+    frozen[end:] = se2.compose(frozen[begin], se2.between(frozen[end], frozen[end:]))
+    poses, middle = drive.poses.copy(), row_at(drive, 45.0)
+    poses[middle] = se2.compose(poses[middle], np.array([0.3, 0.3, 0.0]))
+    found = find_suspects(replace(with_path(drive, poses), odometry=frozen))
+    assert {suspect.check for suspect in found} == {PLACEMENT, ODOMETRY}
+
+
 def test_a_wrong_loop_correction_is_found_where_a_place_is_seen_again() -> None:
     drive = simulated_drive("office")
     share = np.clip((np.arange(len(drive)) - 0.4 * len(drive)) / (0.1 * len(drive)), 0.0, 1.0)
