@@ -10,7 +10,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import PointMatch, Prediction
+from ..matching.point_matcher import MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
@@ -60,10 +60,17 @@ class PosePredictor:
         self._since_fix = None  # no slip is possible before the next fix
         self._tentative = self._rival = self._before_slip = None
 
-    @property
-    def periods_since_fix(self) -> float:
-        """Time from the last fix to the last scan, in periods of the lidar; 0 if no slip is possible."""
-        return 0.0 if not self._since_fix else self._since_fix / max(self._clock.period, MIN_PERIOD)
+    def is_after_gap(self, taken: int, missing: int) -> bool:
+        """Return True if the robot may have left the poses that are searched while no scan was taken.
+
+        taken    scans since the last fix
+        missing  least number of scans that would have been taken in the gap
+        """
+        if not self._since_fix:
+            return False
+        reach = SEARCH_DEVIATIONS * float(self._velocity.deviations(self._since_fix)[:2].max())
+        periods = self._since_fix / max(self._clock.period, MIN_PERIOD)
+        return reach > MAX_SEARCH_SHIFT and periods >= taken + missing
 
     def correct(self, pose: se2.Pose) -> None:
         """Replace the pose of the last fix, and predict from it from now on."""

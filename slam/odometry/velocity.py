@@ -94,9 +94,8 @@ class ScanClock:
 
     @property
     def period(self) -> float:
-        """Median of the latest differences of stamps, seconds; there must be one."""
-        ordered = self._ordered
-        return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+        """Period of the lidar in seconds; there must have been two scans."""
+        return sum(self._ordered) / len(self._ordered) if self._in_bursts else self._median
 
     def interval(self, stamp: float) -> float:
         """Return the seconds from the last scan to one at `stamp`, which becomes the last; 0 for the first."""
@@ -104,9 +103,17 @@ class ScanClock:
         if last is None:
             return 0.0
         self._add(stamp - last)
-        ordered, period = self._ordered, self.period
-        in_bursts = period < MIN_PERIOD or ordered[0] < MIN_INTERVAL * period
-        return sum(ordered) / len(ordered) if in_bursts else max(stamp - last, period)
+        return self.period if self._in_bursts else max(stamp - last, self.period)
+
+    @property
+    def _median(self) -> float:
+        ordered = self._ordered
+        return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+
+    @property
+    def _in_bursts(self) -> bool:
+        median = self._median
+        return median < MIN_PERIOD or self._ordered[0] < MIN_INTERVAL * median
 
     def _add(self, interval: float) -> None:
         """Add an interval to the latest ones, which are kept in order too: to sort them for each scan takes longer."""

@@ -39,6 +39,14 @@ def test_scans_of_a_burst_are_a_period_apart(size: int, spacing: float):
     assert found == pytest.approx(PERIOD, rel=0.25)  # a burst may be partly outside of the latest intervals
 
 
+@pytest.mark.parametrize("stamps", [[PERIOD * k for k in range(300)], in_bursts(400, 10, 0.001)])
+def test_the_period_is_that_of_the_lidar(stamps: list[float]):
+    clock = ScanClock()
+    for stamp in [*stamps, stamps[-1] + 30.0 * PERIOD]:  # the last one after a pause
+        clock.interval(stamp)
+    assert clock.period == pytest.approx(PERIOD, rel=0.3)
+
+
 def test_the_fastest_lidar_is_not_taken_for_a_burst():
     found = intervals([0.01 * k for k in range(200)])
     assert found[1:] == pytest.approx(0.01)
