@@ -130,8 +130,9 @@ class SourceReport:
 
     messages         number of messages yielded
     skipped          number of entries skipped
-    reasons          number of times that each reason occurred
-    first            first problem, as `file:line: reason`
+    reasons          number of times that each reason for skipping occurred
+    first            first skipped entry, as `file:line: reason`
+    corrected        number of times that each correction without loss occurred, such as the sorting of messages
     interpretations  how the content was read where that had to be found out: a topic, a unit, etc.; one line each
     doubts           what is probably wrong with the content, which was read as it is; one line each
     recorded_stamps  stamp as read -> stamp as recorded, seconds, for stamps that were recorded wrongly and restored
@@ -144,6 +145,7 @@ class SourceReport:
     skipped: int = 0
     reasons: dict[str, int] = field(default_factory=dict)
     first: str | None = None
+    corrected: dict[str, int] = field(default_factory=dict)
     interpretations: list[str] = field(default_factory=list)
     doubts: list[str] = field(default_factory=list)
     recorded_stamps: dict[float, float] = field(default_factory=dict)

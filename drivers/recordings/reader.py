@@ -255,15 +255,15 @@ class RecordingReader(ABC):
 
     def skip(self, line: int | None, reason: str) -> None:
         """Count an omitted entry; `line` is its line or message number."""
-        self.report.skipped += 1
-        self.note(line, reason)
-
-    def note(self, line: int | None, reason: str) -> None:
-        """Count an anomaly without loss of a message, such as messages that had to be sorted."""
         report = self.report
+        report.skipped += 1
         report.reasons[reason] = report.reasons.get(reason, 0) + 1
         if report.first is None:
             report.first = str(RecordingError(self.path, line, reason))
+
+    def correct(self, text: str) -> None:
+        """Count a correction without loss of a message; `text` is what was wrong and what was done about it."""
+        self.report.corrected[text] = self.report.corrected.get(text, 0) + 1
 
     def interpret(self, text: str) -> None:
         """Report how the content is read where that had to be found out; `text` is one line."""

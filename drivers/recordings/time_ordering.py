@@ -36,13 +36,13 @@ CONFIRMATIONS = 5
 
 
 class AnomalyCounter(Protocol):
-    """Counter of skipped messages and anomalies; `line` is a line or message number."""
+    """Counter of skipped and of corrected messages."""
 
     def skip(self, line: int | None, reason: str) -> None:
-        """Count an omitted message."""
+        """Count an omitted message; `line` is its line or message number."""
 
-    def note(self, line: int | None, reason: str) -> None:
-        """Count an anomaly without loss of a message."""
+    def correct(self, text: str) -> None:
+        """Count a correction without loss of a message."""
 
 
 Numbered = tuple[int, Message]
@@ -90,12 +90,12 @@ def order_by_time(numbered: Iterable[Numbered], anomalies: AnomalyCounter) -> It
     """
     heap: list[tuple[float, int, Message]] = []
     progress = _Progress()
-    for arrived, (line, message) in enumerate(_correct_clock_steps(numbered, progress, anomalies)):
+    for arrived, message in enumerate(_correct_clock_steps(numbered, progress, anomalies)):
         newest = message.stamp if progress.newest is None else progress.newest
         if message.stamp < newest - WINDOW:
-            anomalies.note(line, "arrived more than a second late; sorted by its stamp")
+            anomalies.correct("arrived more than a second late; sorted by its stamp")
         elif message.stamp < newest:
-            anomalies.note(line, "stamp less than a second out of order; sorted")
+            anomalies.correct("stamp less than a second out of order; sorted")
         progress.accept(message)
         heapq.heappush(heap, (message.stamp, arrived, message))
         complete = progress.complete()
@@ -122,7 +122,7 @@ def sort_within(messages: Iterable[Message], seconds: float) -> Iterator[Message
 
 def _correct_clock_steps(
     numbered: Iterable[Numbered], progress: _Progress, anomalies: AnomalyCounter
-) -> Iterator[Numbered]:
+) -> Iterator[Message]:
     """Yield the messages without wrong stamps, on a clock that never steps back by more than WINDOW.
 
     The caller updates `progress` after each message.
@@ -132,7 +132,7 @@ def _correct_clock_steps(
     for line, message in numbered:
         if progress.continues(message, message.stamp + offset):
             _drop(held, anomalies)
-            yield line, _shifted(message, offset)
+            yield _shifted(message, offset)
             continue
         if held and not _near(message.stamp, max(m.stamp for _, m in held)):
             _drop(held, anomalies)
@@ -141,11 +141,11 @@ def _correct_clock_steps(
             continue
         if progress.newest is not None:
             offset += _backward_step(held, progress.newest - offset, anomalies)
-        for held_line, held_message in held:
-            yield held_line, _shifted(held_message, offset)
+        for _, held_message in held:
+            yield _shifted(held_message, offset)
         held = []
     if progress.newest is None:  # fewer messages than CONFIRMATIONS
-        yield from held
+        yield from (message for _, message in held)
     else:
         _drop(held, anomalies)
 
@@ -174,5 +174,5 @@ def _backward_step(held: list[Numbered], latest: float, anomalies: AnomalyCounte
     earliest = min(message.stamp for _, message in held)
     if earliest >= latest:
         return 0.0
-    anomalies.note(held[0][0], "clock was set back; later stamps are shifted")
+    anomalies.correct("clock was set back; later stamps are shifted")
     return latest - earliest

@@ -70,6 +70,7 @@ def summarise_run(
         "warnings": notices,
         "skipped": {"messages": report.skipped, "reasons": report.reasons, "first": report.first},
         "interpretations": report.interpretations,
+        "corrected": report.corrected,
         "doubts": report.doubts,
         "slam": finished.summary,
         "versions": versions(),
@@ -100,7 +101,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         )
     rows += _loops(summary) + _lost(summary) + _plan(summary)
     if skipped := summary["skipped"]["messages"]:
-        rows.append(("skipped", f"{skipped} messages; first: {summary['skipped']['first']}"))
+        rows.append(("skipped", f"{counted(skipped, 'message')}; first: {summary['skipped']['first']}"))
     recordings = summary.get("recordings") or [{}]
     if shift := recordings[-1].get("shift"):
         where = "" if len(recordings) > 1 else f"as recorded in {TRAJECTORY}, else "

@@ -122,5 +122,6 @@ class ConcatenatedSource:
         report.first = report.first or part.first
         report.interpretations += part.interpretations
         report.doubts += part.doubts
-        for reason, count in part.reasons.items():
-            report.reasons[reason] = report.reasons.get(reason, 0) + count
+        for total, counts in ((report.reasons, part.reasons), (report.corrected, part.corrected)):
+            for reason, count in counts.items():
+                total[reason] = total.get(reason, 0) + count

@@ -22,8 +22,8 @@ from .tum import Trajectory, read_tum_poses, write_tum
 
 TABLES = ("recordings", "devices")
 SUMMARY_TYPES: dict[str, type[dict[str, Any]] | type[list[Any]]] = {
-    **dict.fromkeys(("slam", "skipped", "truth", "versions", "timing", "review"), dict),
-    **dict.fromkeys(("warnings", "interpretations", "doubts", *TABLES), list),
+    **dict.fromkeys(("slam", "skipped", "corrected", "truth", "versions", "timing", "review"), dict),
+    **dict.fromkeys(("warnings", "interpretations", "doubts", "gaps", *TABLES), list),
 }
 """Types of the entries of summary.json that are not plain values."""
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from ...formatting import counted
 from ..console import printable
 from ..options import OtherRecordingArgument
 
@@ -70,6 +71,7 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     if found.ground_truth:
         rows.append(("true poses", str(found.ground_truth)))
     rows += [("read as", text) for text in [*found.report.interpretations, *timing.corrections()]]
+    rows += [("corrected", f"{text} ({counted(count, 'time')})") for text, count in found.report.corrected.items()]
     if settings := timing.settings():
         rows.append(("live, ros", " ".join(f"--set {shlex.quote(setting)}" for setting in settings)))
     rows += [("warning", text) for text in [*timing.doubts(), *found.warnings]]

@@ -124,6 +124,7 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         "truth": None,
         "warnings": [],
         "skipped": {"messages": 0, "reasons": {}, "first": None},
+        "corrected": {},
         "interpretations": [],
         "doubts": [],
         "slam": finished.summary,

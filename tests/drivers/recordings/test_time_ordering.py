@@ -15,17 +15,17 @@ from drivers.recordings.time_ordering import order_by_time, sort_within
 
 
 class Anomalies:
-    """Recorder of the reasons of skipped messages and anomalies."""
+    """Recorder of skipped and of corrected messages."""
 
     def __init__(self) -> None:
         self.skipped: list[str] = []
-        self.noted: list[str] = []
+        self.corrected: list[str] = []
 
     def skip(self, line: int | None, reason: str) -> None:
         self.skipped.append(reason)
 
-    def note(self, line: int | None, reason: str) -> None:
-        self.noted.append(reason)
+    def correct(self, text: str) -> None:
+        self.corrected.append(text)
 
 
 def order(stamps: list[float]) -> tuple[list[float], Anomalies]:
@@ -41,7 +41,7 @@ def test_increasing_stamps_are_unchanged() -> None:
     out, anomalies = order(STEADY)
     assert out == STEADY
     assert not anomalies.skipped
-    assert not anomalies.noted
+    assert not anomalies.corrected
 
 
 def test_equal_stamps_keep_their_order() -> None:
@@ -55,7 +55,7 @@ def test_small_disorder_is_sorted_and_counted() -> None:
     stamps[50], stamps[51] = stamps[51], stamps[50]
     out, anomalies = order(stamps)
     assert out == STEADY
-    assert len(anomalies.noted) == 1
+    assert len(anomalies.corrected) == 1
     assert not anomalies.skipped
 
 
@@ -92,8 +92,8 @@ def test_no_message_is_lost_if_the_clock_is_set_back() -> None:
     assert len(out) == 200
     assert out == sorted(out)
     assert np.diff(out) == pytest.approx([0.1] * 99 + [0.0] + [0.1] * 99, abs=1e-6)
-    assert len(anomalies.noted) == 1
-    assert "set back" in anomalies.noted[0]
+    assert len(anomalies.corrected) == 1
+    assert "set back" in anomalies.corrected[0]
 
 
 def two_sensors(stall: float) -> list[Message]:
@@ -115,8 +115,8 @@ def test_messages_of_a_sensor_that_arrive_late_are_sorted(stall: float) -> None:
     out = list(order_by_time(enumerate(messages), anomalies))
     assert out == sorted(messages, key=lambda message: message.stamp)
     assert not anomalies.skipped
-    assert not any("set back" in reason for reason in anomalies.noted)
-    assert any("more than a second late" in reason for reason in anomalies.noted) == (stall > 1.0)
+    assert not any("set back" in reason for reason in anomalies.corrected)
+    assert any("more than a second late" in reason for reason in anomalies.corrected) == (stall > 1.0)
 
 
 def test_the_clock_of_two_sensors_is_set_back() -> None:
@@ -127,7 +127,7 @@ def test_the_clock_of_two_sensors_is_set_back() -> None:
     assert len(out) == 4000
     assert out == sorted(out)
     assert np.max(np.diff(out)) < 0.11
-    assert [reason for reason in anomalies.noted if "sorted" not in reason] == [
+    assert [reason for reason in anomalies.corrected if "sorted" not in reason] == [
         "clock was set back; later stamps are shifted"
     ]
 
