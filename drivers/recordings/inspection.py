@@ -42,7 +42,7 @@ class RecordingInfo:
     ground_truth: int = 0
     start: float | None = None
     duration: float = 0.0
-    scan_rate: float | None = None  # 1 / median period; scans per second if stamps are repeated
+    scan_rate: float | None = None  # mean rate outside of gaps, as the other rates
     repeated_stamps: float = 0.0  # share of the scans that have the stamp of the one before
     odometry_rate: float | None = None
     gyroscope_rate: float | None = None
@@ -137,8 +137,6 @@ def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
     stamps = np.array(scans.stamps)
     info.scan_rate, info.scan_gaps = _rate_and_gaps(stamps)
     info.repeated_stamps = float(np.mean(np.diff(stamps) == 0.0)) if len(stamps) > 1 else 0.0
-    if info.repeated_stamps > MAX_REPEATED_SHARE and info.scan_rate is not None:
-        info.scan_rate = (len(stamps) - 1) / float(np.ptp(stamps))
     info.beams = min(scans.beams), max(scans.beams)
     info.field_of_view = float(scans.last.angles[0]), float(scans.last.angles[-1])
     info.range_limits = scans.last.range_min, scans.last.range_max
@@ -168,12 +166,13 @@ def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats, scans
 
 
 def _rate_and_gaps(stamps: Floats) -> tuple[float | None, list[Gap]]:
-    """Return the rate, 1 / median period (Hz), and the gaps; (None, []) if there are no two different stamps."""
+    """Return the mean rate outside of gaps (Hz), and the gaps; (None, []) if there are no two different stamps."""
     periods, longest = np.diff(stamps), longest_period(stamps)
     if longest is None:
         return None, []
-    long = np.flatnonzero(periods > longest)
-    return 1.0 / float(np.median(periods[periods > 0])), [Gap(float(stamps[i]), float(periods[i])) for i in long]
+    is_gap = periods > longest
+    gaps = [Gap(float(stamps[i]), float(periods[i])) for i in np.flatnonzero(is_gap)]
+    return 1.0 / float(np.mean(periods[~is_gap])), gaps
 
 
 def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> list[str]:
@@ -197,10 +196,7 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
         seconds = ", and all are whole seconds" if not np.any(np.mod(scans.stamps, 1.0)) else ""
         warnings.append(f"{share}{seconds}: stamps are coarser than scans are frequent")
     warnings += _offset_warnings(info)
-    warnings += _gap_warnings("scans", info.scan_gaps, start)
-    warnings += _gap_warnings("odometry", info.odometry_gaps, start)
-    if info.scans and info.odometry:
-        warnings += _overlap_warnings(np.array(scans.stamps), odometry, start)
+    warnings += gap_warnings(np.array(scans.stamps), odometry)
     for one in info.unseen:
         driven = f"in which the robot drives {one.length:.1f} m"
         warnings.append(f"odometry without scans for {one.duration:.1f} s at {elapsed(one.start - start)}, {driven}")
@@ -232,7 +228,20 @@ def _offset_warnings(info: RecordingInfo) -> list[str]:
     return warnings
 
 
-def _gap_warnings(name: str, gaps: list[Gap], start: float) -> list[str]:
+def gap_warnings(scans: Floats, odometry: Floats) -> list[str]:
+    """Return one line of text for each kind of gap in the stamps (n,) of the scans and (m,) of the odometry, seconds.
+
+    Times in the texts are since the first stamp.
+    """
+    start = min((float(stamps[0]) for stamps in (scans, odometry) if len(stamps)), default=0.0)
+    warnings = []
+    for name, stamps in (("scans", scans), ("odometry", odometry)):
+        _, gaps = _rate_and_gaps(stamps)
+        warnings += _longest_gap(name, gaps, start)
+    return warnings + (_overlap_warnings(scans, odometry, start) if len(scans) and len(odometry) else [])
+
+
+def _longest_gap(name: str, gaps: list[Gap], start: float) -> list[str]:
     if not gaps:
         return []
     longest = max(gaps, key=lambda gap: gap.duration)

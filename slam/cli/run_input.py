@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
+from drivers.recordings.inspection import gap_warnings
 
 from ..config import Config
 from ..events import Sink
@@ -71,6 +72,8 @@ class RecordingInput:
         self._source = source
         self._timing: RecordingTiming | None = None
         self._second_timing: RecordingTiming | None = None
+        self._scan_stamps: list[float] = []
+        self._odometry_stamps: list[float] = []
 
     @property
     def report(self) -> SourceReport:
@@ -80,7 +83,15 @@ class RecordingInput:
     @contextmanager
     def opened(self, idle: Callable[[], None]) -> Iterator[Iterable[Message]]:
         """Provide all messages; `idle` is not called."""
-        yield progress(self._source, len(self._source), self.name)
+        yield progress(self._messages(), len(self._source), self.name)
+
+    def _messages(self) -> Iterator[Message]:
+        for message in self._source:
+            if isinstance(message, Odometry):
+                self._odometry_stamps.append(message.stamp)
+            elif isinstance(message, Scan):
+                self._scan_stamps.append(message.stamp)
+            yield message
 
     def resolve(self, config: Config) -> Config:
         """Return the settings with each lidar's delay that the recording shows, if none is set."""
@@ -88,12 +99,14 @@ class RecordingInput:
         return config
 
     def facts(self) -> dict[str, Any]:
-        """Return the timing of the lidar, and how the recording was read, as far as it is known."""
+        """Return the gaps in the recording, the timing of the lidar, and how the recording was read."""
+        gaps = gap_warnings(np.array(self._scan_stamps), np.array(self._odometry_stamps))
         if self._timing is None:
-            return {}
+            return {"gaps": gaps}
         read_as = [*self.report.interpretations, *self._timing.corrections()]
         doubts = [*self.report.doubts, *self._timing.doubts()]
-        facts: dict[str, Any] = {"timing": self._timing.figures(), "interpretations": read_as, "doubts": doubts}
+        facts: dict[str, Any] = {"gaps": gaps, "timing": self._timing.figures()}
+        facts |= {"interpretations": read_as, "doubts": doubts}
         if (second := self._second_timing) is not None:
             facts["second_timing"] = second.figures()
             read_as += [f"second lidar: {line}" for line in second.corrections()]

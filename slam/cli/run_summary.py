@@ -11,6 +11,7 @@ from drivers.elapsed import elapsed
 from ..formatting import counted, duration, percent
 from ..io.host import peak_memory, versions
 from ..io.output_dir import TRAJECTORY
+from ..reporting.log_text import log_losses_text
 from .console import printable
 
 if TYPE_CHECKING:
@@ -69,8 +70,8 @@ def summarise_run(
         "truth": None if score is None else score.figures(),
         "warnings": notices,
         "skipped": {"messages": report.skipped, "reasons": report.reasons, "first": report.first},
-        "interpretations": report.interpretations,
         "corrected": report.corrected,
+        "interpretations": report.interpretations,
         "doubts": report.doubts,
         "slam": finished.summary,
         "versions": versions(),
@@ -108,10 +109,9 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(("stamps", f"{where}{shift:.0f} s later than recorded, to follow those of the session"))
     rows += [("read as", text) for text in summary.get("interpretations") or ()]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
-    left_out = summary.get("review") or {}
-    if any(left_out.values()):
-        rows.append(("log", "omitted: " + ", ".join(f"{count} {name}" for name, count in left_out.items() if count)))
-    rows += [("warning", text) for text in summary.get("doubts") or ()]
+    if losses := log_losses_text(summary.get("review") or {}):
+        rows.append(("log", losses))
+    rows += [("warning", text) for text in [*(summary.get("gaps") or ()), *(summary.get("doubts") or ())]]
     rows += [("warning", text) for text in (reason_without_walls(summary),) if text]
     warnings = warning_lines(summary["warnings"], summary["start"])
     rows += [("warning", line) for line in warnings[:SHOWN_WARNINGS]]

@@ -214,6 +214,8 @@ def _mount_error(systematic: dict[str, dict[str, float]]) -> str:
 def _source_findings(summary: dict[str, Any]) -> Iterator[Finding]:
     for doubt in summary.get("doubts") or ():
         yield Finding(f"{doubt[:1].upper()}{doubt[1:]}.", "The recording was read as it is.", grave=True)
+    for gap in summary.get("gaps") or ():
+        yield Finding(f"The recording has {gap}.", "What the robot did in the meantime is known from the rest only.")
     skipped = summary.get("skipped") or {}
     if count := skipped.get("messages", 0):
         reasons = "; ".join(f"{reason}: {times}" for reason, times in (skipped.get("reasons") or {}).items())

@@ -16,6 +16,7 @@ from ...errors import MapError
 from ...formatting import counted, percent
 from ...io.output_dir import SUMMARY
 from ...loop_closure.loop_status import LoopStatus
+from ...reporting.log_text import log_losses_text
 from ..report_page.findings import warning_lines
 from ..report_page.loop_text import by_margin, loops_text, returns_text
 from .log_files import LogFiles, find_log
@@ -92,9 +93,8 @@ def _health(data: SessionData) -> Iterator[str]:
     )
     if changes:
         yield f"status      {states}"
-    review = data.summary.get("review") or {}
-    if any(review.values()):
-        yield "log         " + ", ".join(f"{count} events {name}" for name, count in review.items() if count)
+    if losses := log_losses_text(data.summary.get("review") or {}):
+        yield f"log         {losses}"
     warnings = warning_lines(data.summary.get("warnings") or [], data.summary.get("start", 0.0))
     for text in warnings[:3]:
         yield f"warning     {text}"

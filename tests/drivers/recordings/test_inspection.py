@@ -111,6 +111,13 @@ def test_stamps_coarser_than_scans_are_frequent_are_warned_of(step: float, claus
     assert info.scan_rate == pytest.approx(10.0, rel=0.12)
 
 
+def test_rates_are_the_mean_outside_of_gaps() -> None:
+    bursts = [odometry(t + dt) for t in np.arange(0.0, 10.0, 0.3) for dt in (0.0, 1e-4, 2e-4)]
+    messages = [*bursts, *(odometry(20.0 + 0.3 * k + dt) for k in range(30) for dt in (0.0, 1e-4, 2e-4))]
+    info = inspect_list([*messages])
+    assert info.odometry_rate == pytest.approx(10.0, abs=0.3)
+
+
 def test_scans_in_a_gap_of_the_odometry_are_warned_of() -> None:
     messages = [m for m in drive(20.0) if isinstance(m, Scan) or not 5.0 < m.stamp < 14.9]
     warnings = inspect_list(messages).warnings

@@ -25,6 +25,7 @@ from slam.events import (
     StateChanged,
 )
 from slam.loop_closure.loop_status import LoopStatus
+from slam.reporting.log_text import log_losses_text
 from slam.visualisation.rerun_log import ReviewLog, review_log, rrd_writer
 from slam.visualisation.rerun_log.blueprint import Extent, layout
 from slam.visualisation.rerun_log.event_log import EventLog
@@ -61,6 +62,22 @@ def test_an_error_is_reported_once_and_the_other_events_are_logged(tmp_path, cap
     assert caplog.messages[0].startswith("broken.rrd is incomplete: 2 events could not be logged (first: KeyframeAdded")
     assert "stalled" not in caplog.text
     assert rows(tmp_path / "broken.rrd", "/world/keyframe/scan", "Points3D:positions") == [(1, [])]
+
+
+@pytest.mark.parametrize(
+    ("left_out", "text"),
+    [
+        ({"thinned": 0, "lost": 0, "failed": 0, "unwritten": 0}, ""),
+        ({"failed": 1}, "incomplete: 1 event that could not be logged"),
+        (
+            {"thinned": 20, "lost": 3},
+            "incomplete: 20 events left out or without points, as logging was slow; 3 events left out, "
+            "as logging stalled",
+        ),
+    ],
+)
+def test_what_a_log_does_not_contain_is_said_in_words(left_out, text):
+    assert log_losses_text(left_out) == text
 
 
 def stalled(path, monkeypatch) -> tuple[ReviewLog, threading.Event]:
