@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 CALENDAR = 1e8
 """Stamps in seconds from here on (1973) are interpreted as dates, smaller ones as times since a start."""
 
+MAX_INTENSITY = 1e9
+"""Intensities from here on are no measurements, which have 16 bits at most, but memory that a driver did not set."""
+
 
 def info(
     recording: OtherRecordingArgument,
@@ -57,7 +60,9 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     if found.invalid_share is not None:
         rows.append(("no-return", f"{100 * found.invalid_share:.1f} % of the beams"))
     if found.intensities is not None:
-        rows.append(("intensity", "{:g} to {:g}, in the lidar's own unit".format(*found.intensities)))
+        low, high = found.intensities
+        meaning = ", in the lidar's own unit" if high < MAX_INTENSITY else ": memory that the driver did not set"
+        rows.append(("intensity", f"{low:g} to {high:g}{meaning}"))
     for x, y, heading in found.mounts:
         rows.append(("lidar", f"mounted at x {x:z.3f} m, y {y:z.3f} m, heading {math.degrees(heading):z.1f} degrees"))
     driven = f", {found.path_length:.1f} m driven" if found.odometry else ""

@@ -2,10 +2,16 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+
+import drivers
+from drivers import Scan
+from drivers.recordings.mcap import McapWriter
 
 SHORT = "sim:room?duration=3"
 
@@ -42,6 +48,43 @@ def test_info_reports_problems(wclm: Any, tmp_path: Path) -> None:
     assert "2001-09-09 01:46:40 UTC" in text
     assert "warning     no scans" in text
     assert "1 gap in the odometry" in text
+
+
+def test_sorted_messages_are_not_counted_as_skipped(wclm: Any, tmp_path: Path) -> None:
+    stamps = [1e9 + k / 10 for k in range(50)]
+    stamps[20], stamps[21] = stamps[21], stamps[20]
+    lines = [f"ODOM {0.1 * k} 0 0 0 0 0 {stamp} host {stamp}\n" for k, stamp in enumerate(stamps)]
+    (tmp_path / "a.clf").write_text("".join(lines))
+    text = wclm("info", "a.clf").stdout
+    assert "corrected   stamp less than a second out of order; sorted (1 time)" in text
+    assert "skipped" not in text
+    lines[30] = lines[30].replace("ODOM", "ODOM x")
+    (tmp_path / "a.clf").write_text("".join(lines))
+    assert "1 entry skipped, first a.clf:31: " in wclm("info", "a.clf").stdout
+
+
+def test_intensities_that_a_driver_did_not_set_are_named(wclm: Any, tmp_path: Path) -> None:
+    for name, brightest in (("set.mcap", 4095.0), ("unset.mcap", 7.3e31)):
+        with McapWriter(tmp_path / name) as writer:
+            for message in drivers.open(SHORT):
+                if isinstance(message, Scan):
+                    message = replace(message, intensities=np.linspace(0.0, brightest, len(message.ranges)))
+                writer.write(message)
+    assert "intensity   0 to 4095, in the lidar's own unit" in wclm("info", "set.mcap").stdout
+    assert "intensity   0 to 7.3e+31: memory that the driver did not set" in wclm("info", "unset.mcap").stdout
+
+
+def test_run_names_the_gaps_that_info_names(wclm: Any, tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        for message in drivers.open("sim:room?duration=6"):
+            if not (isinstance(message, Scan) and 2.0 < message.stamp < 4.0):
+                writer.write(message)
+    gap = re.compile(r"warning +1 gap in the scans, the longest 2\.\d s at 0:0[12]")
+    result = wclm("run", "a.mcap", "--out", "out", "--no-review")
+    for text in (wclm("info", "a.mcap").stdout, result.stdout):
+        assert gap.search(text)
+    (line,) = json.loads((tmp_path / "out" / "summary.json").read_text())["gaps"]
+    assert line in (tmp_path / "out" / "report.html").read_text()
 
 
 def test_features_prints_and_plots_one_scan(wclm: Any, tmp_path: Path) -> None:
