@@ -126,7 +126,7 @@ def unmatched_stretches(
             turn = float(np.degrees(np.sqrt(covariance[2, 2])))
             text = (
                 f"for {length:.1f} m the scans show nothing that was mapped: what is mapped afterwards is placed by "
-                f"odometry only (standard deviations {sigma:.2f} m and {turn:.0f} degrees)"
+                f"odometry only (standard deviations {sigma:.2f} m and {turn:.1f} degrees)"
             )
             position = poses[group[0], :2].copy()
             suspects.append(Suspect(UNCONSTRAINED, first, first, last, position, sigma / MAX_BLIND_SIGMA, text))
@@ -145,12 +145,12 @@ def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float], start: f
     firsts = [parts.firsts[group] for group in apart]
     stamps = [float(keyframe_stamps[first]) for first in firsts]
     where = "from here on" if len(apart) == 1 else f"beginning at {_listed([elapsed(at - start) for at in stamps])}"
-    how = "their relative pose is not known, as the robot may have been carried"
+    how = "where they lie relative to each other is not known, as the robot may have been carried"
     if all(parts.measured[group] for group in apart):
         sigma, turn_sigma = _largest_deviations(mapper, firsts)
-        sigmas = f"standard deviations {sigma:.2f} m and {np.degrees(turn_sigma):.0f} degrees"
-        how = f"their relative pose is from odometry only ({sigmas})"
-    text = f"the map has {len(apart) + 1} unconnected parts, {where}; {how}"
+        sigmas = f"standard deviations of up to {sigma:.2f} m and {np.degrees(turn_sigma):.1f} degrees"
+        how = f"only odometry places each relative to the one before it, with {sigmas}"
+    text = f"the map has {len(apart) + 1} parts that no scan connects, {where}; {how}"
     last = float(keyframe_stamps[-1])
     return [Suspect(PARTS, stamps[0], stamps[0], last, mapper.keyframe_poses[firsts[0], :2].copy(), 1.0, text)]
 

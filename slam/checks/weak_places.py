@@ -41,6 +41,9 @@ MAX_SOURCE_LENGTH = 10.0
 # Metres: two passages of one place are nearer than this, with more driving than that between them.
 # Origin: chosen, the width of a corridor, and a way that is not turning on the spot; not measured.
 PASSAGE_DISTANCE, PASSAGE_TRAVEL = 1.5, 10.0
+# Metres: parts of the map that begin one after the other within this distance are one place.
+# Origin: chosen, the size of a room: one drive joins them; not measured.
+PARTS_DISTANCE = 5.0
 # Keyframes that observe a wall at least if it is well observed. Origin: definition, two confirm it only.
 MIN_OBSERVATIONS = 3
 
@@ -127,18 +130,28 @@ def sigma_across(walls: MapWalls, row: int, along: Floats) -> Floats:
 
 
 def _parts(path: KeyframePath, parts: Sequence[int]) -> list[WeakPlace]:
-    places = []
+    """Return the places where parts begin, of several that begin near each other one."""
+    groups: list[list[int]] = []
     for first in parts:
-        if 0 < first < len(path.positions):
-            here = path.positions[first]
-            places.append(
-                WeakPlace(
-                    WeakKind.PART, here, here[None], float(path.stamps[first]), float(path.sigma[first]), None,
-                    f"A part of the map begins at {_place(here)} that is not joined with the rest",
-                    "Drive from places that were mapped before into this part, until they are seen again",
-                )
-            )  # fmt: skip
-    return places
+        if not 0 < first < len(path.positions):
+            continue
+        if groups and np.hypot(*(path.positions[first] - path.positions[groups[-1][0]])) < PARTS_DISTANCE:
+            groups[-1].append(first)
+        else:
+            groups.append([first])
+    return [_part(path, group) for group in groups]
+
+
+def _part(path: KeyframePath, firsts: list[int]) -> WeakPlace:
+    """Return the place where parts begin, with the keyframes `firsts`."""
+    first, several = firsts[0], len(firsts) > 1
+    here = path.positions[first]
+    begin = f"{len(firsts)} parts of the map begin near" if several else "A part of the map begins at"
+    text = f"{begin} {_place(here)} that {'are' if several else 'is'} not joined with the rest"
+    into = "these parts" if several else "this part"
+    drive = f"Drive from places that were mapped before into {into}, until they are seen again"
+    sigma = float(path.sigma[first])
+    return WeakPlace(WeakKind.PART, here, path.positions[firsts], float(path.stamps[first]), sigma, None, text, drive)
 
 
 def _stretches(path: KeyframePath) -> list[WeakPlace]:

@@ -27,7 +27,7 @@ MAX_SHOWN_SUSPECTS = 10
 SUSPECT_DETAILS = {
     PLACEMENT: "From there on, the path may be displaced or turned.",
     MAP: "Walls may be doubled, or a part of the map may be displaced.",
-    PARTS: "The robot lost its pose there, and the place was not recognised. The parts of the map do not fit together.",
+    PARTS: "The robot lost its pose there, and did not recognise the place later. Parts may be displaced or turned.",
     UNCONSTRAINED: "Its length there is a guess: the robot may have stopped, or driven faster.",
     ODOMETRY: "The scans were enough to correct it, or the path is wrong from there on.",
 }

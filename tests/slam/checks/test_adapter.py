@@ -55,4 +55,4 @@ def test_only_the_first_of_many_parts_are_named() -> None:
         landmarks=SimpleNamespace(parts=parts), keyframe_count=30, keyframe_poses=np.zeros((30, 3))
     )
     (suspect,) = unconnected_parts(mapper, list(range(100, 130)), 100.0)  # type: ignore[arg-type]
-    assert "30 unconnected parts, beginning at 0:01, 0:02, 0:03, 0:04 and 25 later times;" in suspect.text
+    assert "30 parts that no scan connects, beginning at 0:01, 0:02, 0:03, 0:04 and 25 later times;" in suspect.text

@@ -106,6 +106,18 @@ def test_parts_that_are_not_joined_come_first(finished: Finished) -> None:
     assert part.stamp == 50.0
 
 
+def test_parts_that_begin_near_each_other_are_one_place(finished: Finished) -> None:
+    positions = along(SQUARE)
+    places = find_weak_places(no_walls(finished), path_of(positions, np.zeros(len(positions))), [20, 21, 22, 60])
+    assert [place.text.split(" that ")[1] for place in places] == [
+        "are not joined with the rest",
+        "is not joined with the rest",
+    ]
+    assert places[0].text.startswith("3 parts of the map begin near ")
+    np.testing.assert_allclose(places[0].points, positions[20:23])
+    assert [place.stamp for place in places] == [20.0, 60.0]
+
+
 def test_walls_are_weak_if_they_are_less_known_than_the_path_or_rarely_observed(finished: Finished) -> None:
     positions, known = along(np.array([[1.0, 2.0], [5.0, 2.0]])), np.diag([1e-6, 1e-8])
     turning = np.array([[1e-4, 2e-4], [2e-4, 4e-4]])  # its end at +3 m is known to 7 cm

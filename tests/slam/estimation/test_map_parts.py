@@ -271,7 +271,7 @@ def test_a_robot_carried_to_another_building_maps_it_apart(carried: tuple[Slam, 
     assert [part["odometry"] for part in parts] == [True, False]
     assert [part["joined"] for part in parts] == [True, False]
     assert [state["state"] for state in states] == ["LOST"]
-    assert "2 unconnected parts" in suspects[0]["sentence"]
+    assert "2 parts that no scan connects" in suspects[0]["sentence"]
     assert len(slam.slam_state.trajectory) == summary["scans"]
 
 
