@@ -105,7 +105,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(("skipped", f"{counted(skipped, 'message')}; first: {summary['skipped']['first']}"))
     recordings = summary.get("recordings") or [{}]
     if shift := recordings[-1].get("shift"):
-        where = "" if len(recordings) > 1 else f"as recorded in {TRAJECTORY}, else "
+        where = "" if len(recordings) > 1 else f"in {TRAJECTORY} as recorded; in the other files "
         rows.append(("stamps", f"{where}{shift:.0f} s later than recorded, to follow those of the session"))
     rows += [("read as", text) for text in summary.get("interpretations") or ()]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
@@ -157,9 +157,14 @@ def _loops(summary: dict[str, Any]) -> list[tuple[str, str]]:
 
 def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
     """Return when the robot was lost and for how long, and which parts of the map were joined."""
+    from ..visualisation.report_page.findings import searched_at_start
+
     slam, start = summary.get("slam") or {}, summary["start"]
     spans = slam.get("lost") or []
     rows = []
+    if searched := searched_at_start(summary):
+        rows.append(("start", f"recognised in the map after {duration(searched)}"))
+        spans = spans[1:]
     if spans and slam["health"]["lost"]:  # a robot that starts at a given pose is placed by the first scan
         times = ", ".join(
             f"at {elapsed(begin - start)} for {duration(end - begin)}" for begin, end in spans[:SHOWN_SPANS]
@@ -199,6 +204,6 @@ def _time(summary: dict[str, Any]) -> str:
     factor = summary["real_time_factor"]
     speed = f"{factor:.0f} times faster than real time" if factor >= 2 else f"{factor:.2f} times as fast as real time"
     return (
-        f"{summary['slam_seconds']:.1f} s for SLAM, {speed}; {summary['wall_seconds']:.1f} s in total, "
+        f"{summary['slam_seconds']:.1f} s for SLAM, {speed}; {summary['wall_seconds']:.1f} s with reading and writing, "
         f"{summary['peak_memory_mib']:.0f} MiB"
     )

@@ -57,6 +57,7 @@ class LocalisationReport:
 
     def handle(self, stamp: float, event: LocalisationEvent) -> None:
         """Change the status by an event."""
+        self._statistics.started_anywhere |= event is LocalisationEvent.STARTED_ANYWHERE
         self._publish(stamp, self._machine.handle(event))
 
     def _publish(self, stamp: float, state: LocalisationState | None) -> None:

@@ -36,6 +36,7 @@ class RunStatistics:
     featureless_scans  scans with too little wall and too few points
     lost_scans         scans taken while the robot was LOST
     states             stamp (seconds) and localisation state at each change
+    started_anywhere   True if the first of them is LOST, as the drive may start anywhere in the map
     merged_walls       walls that were merged with another one
     loops              every loop decision with its scores, see `loop_row`
     overlap_ratios     of all tracked scans
@@ -48,6 +49,7 @@ class RunStatistics:
     featureless_scans: int = 0
     lost_scans: int = 0
     states: list[tuple[float, LocalisationState]] = field(default_factory=list)
+    started_anywhere: bool = False
     merged_walls: int = 0
     loops: list[dict[str, object]] = field(default_factory=list)
     overlap_ratios: array[float] = field(default_factory=lambda: array("d"))  # of days: a list is four times as large
@@ -182,6 +184,7 @@ def run_summary(
         "loop_decisions": statistics.loops,
         "returns": summarise(state.loops.returns),
         "states": statistics.state_rows(),
+        **({"start_recognised": True} if statistics.started_anywhere and len(statistics.states) > 1 else {}),
         **({"lost": lost} if lost else {}),
         **({"parts": parts} if parts else {}),
         "odometry": _odometry_errors(state.odometry_model),

@@ -69,7 +69,7 @@ def findings(summary: dict[str, Any], trajectory: Trajectory) -> list[Finding]:
     found = [
         *_wall_findings(summary),
         *_suspect_findings(slam.get("suspects") or [], trajectory),
-        *_status_findings(slam.get("states") or [], trajectory),
+        *_status_findings(slam.get("states") or [], trajectory, searched=searched_at_start(summary) > 0.0),
         *_warning_findings(summary.get("warnings") or [], trajectory),
         *_loop_findings(slam.get("loop_decisions") or [], trajectory),
         *_health_findings(slam.get("health") or {}),
@@ -95,6 +95,15 @@ def reason_without_walls(summary: dict[str, Any]) -> str:
     return f"no wall was found: no straight line was seen from two places; {seen}"
 
 
+def searched_at_start(summary: dict[str, Any]) -> float:
+    """Return the seconds until the start of a drive was recognised in a map; 0.0 if it was not, or was known."""
+    slam = summary.get("slam") or {}
+    if not slam.get("start_recognised"):
+        return 0.0
+    begin, end = slam["lost"][0]
+    return float(end - begin)
+
+
 def _wall_findings(summary: dict[str, Any]) -> Iterator[Finding]:
     if text := reason_without_walls(summary):
         yield Finding(f"{text[:1].upper()}{text[1:]}", "The path is from odometry and loose points.", grave=True)
@@ -113,11 +122,15 @@ def _suspect_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Ite
         yield Finding(f"{counted(more, 'more suspect')} in summary.json.", "")
 
 
-def _status_findings(rows: list[dict[str, Any]], trajectory: Trajectory) -> Iterator[Finding]:
-    """Yield how long and when the localisation status was not OK."""
+def _status_findings(rows: list[dict[str, Any]], trajectory: Trajectory, *, searched: bool) -> Iterator[Finding]:
+    """Yield how long and when the localisation status was not OK.
+
+    searched  true if the first time that it was LOST is the search for the place where the drive starts
+    """
     ends = [*(row["stamp"] for row in rows), float(trajectory.stamps[-1])][1:]
     for state, (text, detail) in STATUS_FINDINGS.items():
         spans = [(row["stamp"], end) for row, end in zip(rows, ends, strict=True) if row["state"] == state]
+        spans = spans[1:] if searched and state == "LOST" else spans
         if spans:
             seconds = sum(end - start for start, end in spans)
             times = _times([start for start, _ in spans], trajectory)

@@ -1,6 +1,7 @@
 """Commands on sessions: `run --continue` and `--localize`, `optimize`, `map --format g2o`."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +16,7 @@ from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.simulation import LidarModel, Simulation
 from slam.graph.pose_graph import optimise, read_pose_graph
 from slam.io.map_json import read_map
-from slam.io.output_dir import MAP, RESULTS, SESSION, SUMMARY, TRAJECTORY
+from slam.io.output_dir import MAP, REPORT, RESULTS, SESSION, SUMMARY, TRAJECTORY
 from slam.io.recordings import open_recording
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
@@ -91,6 +92,9 @@ def test_a_recording_with_earlier_stamps_is_no_interrupted_run(wclm: Any, folder
 def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Path) -> None:
     result = wclm("run", folder / "second.mcap", "--localize", session, "--out", "there", "--no-review")
     assert result.exit_code == 0, result.output
+    assert re.search(r"start +recognised in the map after \d+\.\d s", result.stdout)
+    assert "LOST" not in result.stdout
+    assert "the robot was lost" not in Path("there", REPORT).read_text()
     assert SESSION not in {file.name for file in Path("there").iterdir()}
     before, after = read_map(session / MAP).walls, read_map(Path("there", MAP)).walls
     np.testing.assert_array_equal(after.identity, before.identity)
