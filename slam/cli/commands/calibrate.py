@@ -69,7 +69,7 @@ def _lines(result: Calibration) -> list[str]:
         f"veer      {wheels.veer:.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
         f"bias      {bias:.4f} ± {bias_sigma:.4f} m of the ranges",
         f"data      {result.pairs} motions between keyframes, {result.turned:.0f} rad of rotation",
-        f"lidar: mount={x:.4f},{y:.4f},{heading:.4f}",
+        f"wclm live: --lidar 'TYPE:PORT?mount={x:.4f},{y:.4f},{heading:.4f}'",
         f"wclm run: --set 'lidar.mount=[{x:.4f},{y:.4f},{heading:.4f}]' --set lidar.range_bias={bias:.4f}",
     ]
 
@@ -86,9 +86,9 @@ def _timing_lines(timing: RecordingTiming) -> list[str]:
 
 
 def _options(result: Calibration, wheel_radius: float, track: float) -> str:
-    """Return the corrected options of the base: the radius of each wheel and the track."""
+    """Return the option of the base with corrected dimensions: the radius of each wheel and the track."""
     wheels = result.odometry
     true_track = track * wheels.length / wheels.turning
     half = wheels.veer * true_track / 2
     left, right = wheel_radius * (wheels.length - half), wheel_radius * (wheels.length + half)
-    return f"base: wheel_radius={left:.5f},{right:.5f}&track={true_track:.4f}"
+    return f"wclm live: --base 'TYPE:PORT?wheel_radius={left:.5f},{right:.5f}&track={true_track:.4f}'"

@@ -19,6 +19,13 @@ if TYPE_CHECKING:
     from ...measuring.wall_map import WallMap
 
 
+# What is printed without measurements, of the whole map and of given walls.
+NOTHING = (
+    "nothing to measure: no room is closed, and no walls are opposite each other",
+    "nothing to measure: a wall has a length between two corners only, and a distance or angle to another wall",
+)
+
+
 class Format(StrEnum):
     """Output formats; those of files are the suffixes."""
 
@@ -82,7 +89,7 @@ def measure(
         wall_map = found.wall_map
     measured = MeasuredMap(measure_walls(wall_map, walls)) if walls else measure_all(wall_map)
     if target is None:
-        text = measurements_csv(measured) if form is Format.CSV else _as_text(measured)
+        text = measurements_csv(measured) if form is Format.CSV else _as_text(measured) or NOTHING[bool(walls)]
         typer.echo(text.rstrip("\n"))
         return
     with unfinished_file(target, overwrite) as unfinished:
@@ -119,7 +126,7 @@ def _as_text(measured: MeasuredMap) -> str:
         walls = ("wall " if len(opening.walls) == 1 else "walls ") + ", ".join(map(str, opening.walls))
         rooms = " and ".join(f"room {number}" for number in opening.rooms)
         lines.append(f"{opening.name} in {walls}: {opening.width:.1f} m" + (f", to {rooms}" if rooms else ""))
-    return "\n".join(lines) or "nothing to measure: no room is closed, and no walls are opposite each other"
+    return "\n".join(lines)
 
 
 def _of_walls(one: Measurement) -> str:

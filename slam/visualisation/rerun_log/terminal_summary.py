@@ -144,7 +144,7 @@ def _residuals(data: SessionData) -> Iterator[str]:
         yield f"residuals   unknown: {'not in this log' if data.chunks else 'there is no log'}"
         return
     worst = inspected[-1]
-    yield "residuals   worst factors at keyframe " + str(worst.keyframe)
+    yield f"residuals   worst factors at keyframe {worst.keyframe} (x: keyframe, L: wall, c: corner)"
     columns = (worst.values[name] for name in ("factor", "kind", "squared", "dof"))
     for factor, kind, squared, dof in zip(*columns, strict=True):
         yield f"  {factor:<16}{kind:<15}d² = {squared:.1f}, {dof} dof"
