@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry.normal_distribution import NORMAL_MEDIAN, NORMAL_MEDIAN_ERROR
 from ..geometry.segments import Floats
 from ..odometry.error_model import RANDOM_ERROR_SAMPLES
-from ..odometry.random_errors import NORMAL_MEDIAN_ERROR
-from ..odometry.systematic_errors import NORMAL_MEDIAN, PRIOR_SAMPLES
+from ..odometry.systematic_errors import PRIOR_SAMPLES
 
 # Metres, metres, radians: standard deviations before any scan. Origin: chosen; no measurement recorded.
 PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])

@@ -18,6 +18,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
+from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats, Integers, Segments
 from ..geometry.small_matrices import quadratic_form
 from .local_map import LocalMap
@@ -34,8 +35,6 @@ FULL_WEIGHT_SAMPLES = 200
 # Keyframes that must have observed a wall before residuals about it are used for the wall roughness.
 # Origin: chosen, the wall's own error must be small; not measured.
 MIN_OBSERVATIONS_FOR_ROUGHNESS = 4
-# Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
-NORMAL_MEDIAN = 0.4549
 
 
 class WallRoughness:

@@ -10,6 +10,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import axes_of
 from ..geometry.median import median
+from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats, Integers, Segments
 
 # Points of one scan that are kept; denser scans are subsampled. Origin: chosen, above the 361 beams of a half-circle
@@ -43,8 +44,6 @@ MAX_FLATNESS = 0.02
 # Largest variance of the points across a line, relative to that across the walls of the scan. Origin: chi-square, the
 # sum of squares of 2 to 7 normal deviates, divided by the 4 to 9 points, is below it in 99.7 %.
 MAX_SCATTER = 3.0
-# Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
-NORMAL_MEDIAN = 0.4549
 
 
 class ScanPoints:

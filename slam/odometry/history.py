@@ -12,6 +12,7 @@ from drivers import se2
 from drivers.messages import Odometry
 
 from ..geometry.growing_array import GrowingArray
+from ..geometry.normal_distribution import NORMAL_SCALE
 from ..geometry.segments import Floats
 
 # Seconds over which the velocity at the first readings is measured, and between readings that are added before them.
@@ -32,8 +33,6 @@ MIN_TRIPLES = 16
 MIN_SPEED = 0.1
 # Readings from which the error of stamps is estimated, and after how many it is estimated again. Origin: numerical.
 ESTIMATED_FROM, ESTIMATED_EVERY = 512, 64
-# Ratio of the standard deviation to the median of the absolute value of a normal variable. Origin: definition.
-NORMAL_SCALE = 1.4826
 
 
 class OdometryHistory:

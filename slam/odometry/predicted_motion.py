@@ -9,11 +9,10 @@ import numpy as np
 from drivers import se2
 
 from ..config import OdometryConfig
+from ..geometry.normal_distribution import NORMAL_MEDIAN, PLANE_MEDIAN
 from .error_model import OdometryModel
-from .systematic_errors import NORMAL_MEDIAN, PRIOR_SAMPLES, SystematicErrors
+from .systematic_errors import PRIOR_SAMPLES, SystematicErrors
 
-# Median of the sum of two squared standard normal variables. Origin: definition, chi-square, 2 dof.
-PLANE_MEDIAN = 1.3863
 # Metres and radians: errors of a prediction before any driving. Origin: chosen, an acceleration of 1 m/s^2 or 3 rad/s^2
 # for half a second.
 INITIAL_FLOORS = np.array([0.12, 0.37])

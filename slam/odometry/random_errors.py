@@ -10,8 +10,9 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
+from ..geometry.normal_distribution import NORMAL_MEDIAN, NORMAL_MEDIAN_ERROR
 from ..geometry.segments import Floats
-from .systematic_errors import NORMAL_MEDIAN, PRIOR_SAMPLES, is_turn
+from .systematic_errors import PRIOR_SAMPLES, is_turn
 
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
@@ -19,9 +20,6 @@ MIN_VARIANCE_RATE = 1e-8
 # Radians: drift of the heading by turning one radian, before any driving. Origin: measured, 0.02 to 0.12 on recordings
 # of nine robots.
 TURN_WALK = 0.04
-# Relative standard error of the median of squared normal variables, times the root of their number: 1 / (2 f(m) m) with
-# the median m and the density f. Origin: definition, chi-square, 1 dof.
-NORMAL_MEDIAN_ERROR = 2.33
 # Standard deviations beyond which an error is gross: a normal error exceeds it once in two million motions.
 # Origin: convention, five sigma.
 GROSS_ERROR = 5.0

@@ -20,6 +20,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
+from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats
 
 # Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
@@ -42,8 +43,6 @@ MAX_TURN_FACTOR = 2.0
 # of odometry's frame, all others for the factor of length, for veering and for the heading of that frame.
 # Origin: chosen, several times the heading error of registration; not measured.
 MAX_STRAIGHT_TURN = math.radians(4.0)
-# Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
-NORMAL_MEDIAN = 0.4549
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,8 +18,8 @@ import numpy as np
 
 from drivers import se2
 
+from ...geometry.normal_distribution import NORMAL_MEDIAN
 from ...geometry.segments import Floats
-from ...mapping.wall_roughness import NORMAL_MEDIAN
 from .scan_history import WRONG_ODOMETRY_SIGMAS
 
 

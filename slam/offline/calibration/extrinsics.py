@@ -29,6 +29,7 @@ from drivers.timing.mount_heading import mount_equations
 
 from ...config import Config
 from ...errors import MapError
+from ...geometry.normal_distribution import NORMAL_SCALE
 from ...geometry.segments import Floats
 from ...pipeline import Slam
 from .range_bias import range_bias_of
@@ -43,8 +44,6 @@ KEYFRAME_SHARE = 0.5
 """Distance and turn between keyframes, as a share of those configured: a drive of some metres has enough pairs."""
 ROBUST_SIGMAS = 3.0
 """Standard deviations from which on residuals are down-weighted: a scan may be registered wrongly, a wheel may slip."""
-NORMAL_MAD = 1.4826
-"""Standard deviation of a normal distribution divided by its median absolute deviation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +154,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     path = _interpolate(correction.apply(poses), stamps, finished.keyframe_stamps)
     start = [*_closed_form_mount(se2.between(path[:-1], path[1:]), observed), *astuple(correction)]
     fit = least_squares(scaled_residuals, start, args=(np.ones(3),))
-    noise = NORMAL_MAD * np.median(np.abs(residuals(fit.x)), axis=0)
+    noise = NORMAL_SCALE * np.median(np.abs(residuals(fit.x)), axis=0)
     fit = least_squares(scaled_residuals, fit.x, loss="soft_l1", f_scale=ROBUST_SIGMAS, args=(noise,))
     x, y, heading, *factors = fit.x.tolist()
     sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))

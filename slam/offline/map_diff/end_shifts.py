@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers import se2
 
+from ...geometry.normal_distribution import NORMAL_MEDIAN
 from ...geometry.segments import Floats
 from ..wall_alignment import numerical_jacobian
 from .ends import REACH, WallEnd, find_ends, walls_of_scan
@@ -22,8 +23,6 @@ from .exact_test import Votes, exact_p_value
 from .movement import Movements, levers
 from .surveys import Survey
 
-# Median of the chi-square distribution with 1 dof. Origin: chi-square, 1 dof, 50 %.
-MEDIAN_CHI_SQUARE = 0.4549
 # Ends of which the median shows the typical difference; if there are fewer, that of a moved one may be the median.
 # Origin: definition, with two the lower one is that which has not moved.
 MIN_TYPICAL = 2
@@ -61,7 +60,7 @@ def find_end_shifts(old: Survey, new: Survey, movements: Movements) -> list[EndS
     differences = np.array([maps.difference(*ends) for ends in matched])
     squared = np.sort(differences[:, 0] ** 2 / differences[:, 1])
     typical = float(squared[(len(squared) - 1) // 2]) if len(squared) >= MIN_TYPICAL else 0.0
-    differences[:, 1] *= max(typical / MEDIAN_CHI_SQUARE, 1.0)
+    differences[:, 1] *= max(typical / NORMAL_MEDIAN, 1.0)
     votes = zip(*maps.votes(matched), strict=True)
     return [_shift(ends, maps, *row) for ends, *row in zip(matched, differences.tolist(), votes, strict=True)]
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ...geometry.normal_distribution import NORMAL_SCALE
 from ...geometry.segments import Floats, Integers
 from ...mapping.map_features import MapWalls
 from ...mapping.sight_lines import MIN_DEPTH
@@ -30,8 +31,6 @@ MAX_WIDTH = 2.0 * WALL_CELL
 # Information per square metre and per square radian that a scan without walls has about its pose, to be invertible.
 # Origin: numerical, a standard deviation of 100 m and of 100 rad.
 LEAST_INFORMATION = 1e-4
-# Standard deviation of a normal distribution by its median absolute deviation. Origin: definition.
-DEVIATION_BY_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,5 +199,5 @@ def _pose_dependence(walls: MapWalls, pose: se2.Pose, points: Floats, seen: Wall
     by_walls = np.zeros((2 * len(walls), 3))
     np.add.at(by_walls, 2 * wall, by_points.T)
     np.add.at(by_walls, 2 * wall + 1, (by_points * seen.place[row, beam]).T)
-    noise = DEVIATION_BY_MEDIAN * float(np.median(np.abs(seen.across[row, beam])))
+    noise = NORMAL_SCALE * float(np.median(np.abs(seen.across[row, beam])))
     return _PoseDependence(by_walls.T, noise**2 * inverse)

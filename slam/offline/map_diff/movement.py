@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ...geometry.normal_distribution import PLANE_MEDIAN
 from ...geometry.segments import Floats, Integers
 from ...measuring.wall_map import WallGeometry
 from ..wall_alignment import numerical_jacobian, shared_points, wall_differences
 
-# Median of the chi-square distribution with 2 dof: -2 ln 0.5. Origin: chi-square, 2 dof, 50 %.
-MEDIAN_CHI_SQUARE = 2.0 * np.log(2.0)
 # Probability beyond which a pair is left out of the alignment. Origin: chosen, one of a thousand; not measured.
 OUTLIER_PROBABILITY = 1e-3
 # Iterations for the pairs that have not moved. Origin: numerical.
@@ -78,7 +77,7 @@ def find_movements(
         projection = np.eye(len(values)) - jacobian @ gain
         rest, remaining = projection @ values, projection @ covariance @ projection.T
         squared, sigma = _squared(rest, remaining)
-        scale = max(float(np.median(squared[still])) / MEDIAN_CHI_SQUARE, 1.0)
+        scale = max(float(np.median(squared[still])) / PLANE_MEDIAN, 1.0)
         p_value = np.exp(-0.5 * squared / scale)
         motion = se2.compose(motion, -gain @ values)
         now = p_value >= OUTLIER_PROBABILITY
