@@ -22,8 +22,9 @@ from drivers import se2
 
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
-from .factors import MATCH_KINDS, Factor, FactorKind, from_pose2, to_gtsam_graph, to_pose2
+from .factors import MATCH_KINDS, Factor, FactorKind
 from .graph_estimate import GraphEstimate
+from .gtsam_factors import from_pose2, to_gtsam_graph, to_pose2
 from .wall_segments import WallSegment
 
 # Maximum of updates of `update_until_converged`; the first one moves by what was below the relinearisation threshold.

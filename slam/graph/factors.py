@@ -1,4 +1,4 @@
-"""Factors of the graph as plain data that can be stored, and their conversion into factors of GTSAM."""
+"""Factors of the graph as plain data that can be stored; `gtsam_factors` converts them into factors of GTSAM."""
 
 from __future__ import annotations
 
@@ -6,12 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, L, P, X
 from numpy.typing import NDArray
-
-from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 
@@ -82,8 +79,6 @@ CAUCHY_SCALES = {
 
 # Bits of a key for the number of its variable; above them is its character. Origin: definition, of GTSAM.
 KEY_INDEX_BITS = 56
-# GTSAM's kernels of the same scales.
-KERNELS = {kind: gtsam.noiseModel.mEstimator.Cauchy.Create(scale) for kind, scale in CAUCHY_SCALES.items()}
 # Kinds that measure a wall's frame only in some directions.
 WALL_KINDS = (
     FactorKind.WALL_HEADING,
@@ -277,69 +272,3 @@ class GraphState:
     qr: bool
     bias: float = 0.0
     waiting: int = 0
-
-    def variables(self) -> dict[int, gtsam.Pose2 | Floats]:
-        """Return the linearisation point of each variable by its key."""
-        groups = (
-            (X, range(len(self.keyframes)), self.keyframes),
-            (L, self.walls.tolist(), self.frames),
-            (P, self.point_maps.tolist(), self.point_map_poses),
-        )
-        poses = {key(k): to_pose2(pose) for key, ids, of_ids in groups for k, pose in zip(ids, of_ids, strict=True)}
-        return poses | {C(k): position for k, position in zip(self.corners.tolist(), self.positions, strict=True)}
-
-
-def to_pose2(pose: se2.Pose) -> gtsam.Pose2:
-    """Convert a pose [x, y, heading] into GTSAM's."""
-    return gtsam.Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
-
-
-def from_pose2(pose: gtsam.Pose2) -> se2.Pose:
-    """Convert GTSAM's pose into [x, y, heading]."""
-    return np.array((pose.x(), pose.y(), pose.theta()))
-
-
-def to_gtsam_graph(factors: Sequence[Factor], bias: float = 0.0) -> gtsam.NonlinearFactorGraph:
-    """Convert factors, without a range bias (metres), into a graph of GTSAM."""
-    converted: dict[int, gtsam.NonlinearFactor] = {}
-    for group in by_kind(factors):
-        converted.update(zip(group.rows.tolist(), _to_gtsam(group, bias), strict=True))
-    graph = gtsam.NonlinearFactorGraph()
-    for row in range(len(factors)):
-        graph.add(converted[row])
-    return graph
-
-
-def _to_gtsam(group: FactorsOfKind, bias: float) -> list[gtsam.NonlinearFactor]:
-    """Convert factors of one kind, without a range bias (metres), into GTSAM's."""
-    ends, measured, kind = group.keys.tolist(), group.without_range_bias(bias), group.kind
-    if kind is FactorKind.CORNER:
-        angles, distances = np.arctan2(measured[:, 1], measured[:, 0]), np.hypot(measured[:, 0], measured[:, 1])
-        return [
-            gtsam.BearingRangeFactor2D(keyframe, corner, gtsam.Rot2.fromAngle(angle), distance, noise)
-            for (keyframe, corner), angle, distance, noise in zip(
-                ends, angles.tolist(), distances.tolist(), _noises(group, bias), strict=True
-            )
-        ]
-    poses = [gtsam.Pose2(x, y, heading) for x, y, heading in measured[:, :3].tolist()]
-    if kind in PRIOR_KINDS:
-        priors = zip(ends, poses, _noises(group, bias), strict=True)
-        return [gtsam.PriorFactorPose2(first, pose, noise) for (first, _), pose, noise in priors]
-    return [
-        gtsam.BetweenFactorPose2(first, second, pose, noise)
-        for (first, second), pose, noise in zip(ends, poses, _noises(group, bias), strict=True)
-    ]
-
-
-def _noises(group: FactorsOfKind, bias: float) -> list[gtsam.noiseModel.Base]:
-    """Return GTSAM's noise model of each factor of one kind."""
-    gaussian, create = gtsam.noiseModel.Gaussian, gtsam.noiseModel.Robust.Create
-    noises: list[gtsam.noiseModel.Base]
-    if group.kind in WALL_KINDS:
-        noises = [gaussian.SqrtInformation(root, False) for root in group.roots_of_information()]
-    elif group.kind is FactorKind.CORNER:
-        noises = [gaussian.Covariance(covariance) for covariance in group.covariances_in_polar(bias)]
-    else:
-        noises = [gaussian.Covariance(covariance) for covariance in group.covariances]
-    kernel = KERNELS.get(group.kind)
-    return noises if kernel is None else [create(kernel, noise) for noise in noises]

@@ -8,7 +8,8 @@ from ..geometry.segments import Floats
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
 from .factor_graph import Additions, FactorGraph
-from .factors import Factor, FactorKind, from_pose2
+from .factors import Factor, FactorKind
+from .gtsam_factors import from_pose2
 from .range_bias import estimate_range_bias
 from .wall_correlation import divisors_of_information, with_correlated_errors
 

@@ -14,7 +14,8 @@ from drivers import se2
 from ..geometry.segments import Floats
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
 from .factor_residuals import residuals_of
-from .factors import MATCH_KINDS, PIN_KINDS, Factor, FactorKind, from_pose2
+from .factors import MATCH_KINDS, PIN_KINDS, Factor, FactorKind
+from .gtsam_factors import from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals

@@ -6,8 +6,10 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, L, P, X
 
+from ..geometry.segments import Floats
 from .factor_graph import Additions, FactorGraph
-from .factors import GraphState, by_kind, from_pose2
+from .factors import GraphState, by_kind
+from .gtsam_factors import from_pose2, to_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 
@@ -48,8 +50,19 @@ def restore_graph(state: GraphState) -> FactorGraph:
     solved = len(state.factors) - state.waiting
     known, waiting = Additions(list(state.factors[:solved])), Additions(list(state.factors[solved:]))
     used = {key for group in by_kind(known.factors) for keys in group.keys.tolist() for key in keys}
-    for key, value in state.variables().items():
+    for key, value in _variables(state).items():
         (known if key in used else waiting).values.insert(key, value)
     graph.solver.restore(known.factors, known.values, state.updates)
     graph.additions = waiting
     return graph
+
+
+def _variables(state: GraphState) -> dict[int, gtsam.Pose2 | Floats]:
+    """Return the linearisation point of each variable by its key."""
+    groups = (
+        (X, range(len(state.keyframes)), state.keyframes),
+        (L, state.walls.tolist(), state.frames),
+        (P, state.point_maps.tolist(), state.point_map_poses),
+    )
+    poses = {key(k): to_pose2(pose) for key, ids, of_ids in groups for k, pose in zip(ids, of_ids, strict=True)}
+    return poses | {C(k): position for k, position in zip(state.corners.tolist(), state.positions, strict=True)}

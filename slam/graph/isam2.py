@@ -12,7 +12,8 @@ from ..geometry.segments import Floats
 from ..memory import return_freed_memory
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
-from .factors import Factor, to_gtsam_graph
+from .factors import Factor
+from .gtsam_factors import to_gtsam_graph
 from .present_solution import PresentSolution
 from .range_bias import RangeBias
 from .recent_variables import RecentVariables

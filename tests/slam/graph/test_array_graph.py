@@ -13,7 +13,8 @@ from slam.graph.array_factors import BETWEEN, squared_distances
 from slam.graph.array_graph import ArrayGraph
 from slam.graph.block_cholesky import Pattern, _ranks, factorise, inverse_blocks, solve
 from slam.graph.factor_graph import FactorGraph
-from slam.graph.factors import FactorKind, by_kind, keys_of, to_gtsam_graph
+from slam.graph.factors import FactorKind, by_kind, keys_of
+from slam.graph.gtsam_factors import to_gtsam_graph
 from slam.graph.isam2 import IncrementalSolver
 
 BIAS = 0.02

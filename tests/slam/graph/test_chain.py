@@ -7,7 +7,8 @@ from gtsam.symbol_shorthand import X
 
 from drivers import se2
 from slam.graph.chain import smooth_chain
-from slam.graph.factors import KERNELS, FactorKind, from_pose2, to_pose2
+from slam.graph.factors import FactorKind
+from slam.graph.gtsam_factors import KERNELS, from_pose2, to_pose2
 
 COUNT = 30
 
