@@ -136,23 +136,23 @@ def true_walls(world: World, origin: se2.Pose) -> TrueWalls:
     return TrueWalls(se2.between(origin, frame), np.hypot(along[:, 0], along[:, 1]))
 
 
-def match_walls(lines: MapWalls, walls: TrueWalls) -> NDArray[np.int64]:
+def match_walls(mapped: MapWalls, walls: TrueWalls) -> NDArray[np.int64]:
     """Return the index (n,) of the true wall nearest to both ends of each mapped one; -1 if none is near.
 
     A mapped wall continues behind doors, so its overlap with all true walls on one line is added up.
     """
-    ends = lines.end_points()
+    ends = mapped.end_points()
     relative = se2.transform(se2.inverse(walls.frame)[:, None, None], ends[None])  # (true, mapped, end, xy)
-    angle = se2.wrap(lines.frame[None, :, 2] - walls.frame[:, None, 2])
+    angle = se2.wrap(mapped.frame[None, :, 2] - walls.frame[:, None, 2])
     distance = np.abs(relative[..., 1]).max(axis=-1)
     covered = np.minimum(relative[:, :, 1, 0], walls.length[:, None]) - np.maximum(relative[:, :, 0, 0], 0.0)
     _, line = np.unique(np.round(_line_coordinates(walls.frame), 6), axis=0, return_inverse=True)
-    on_line = np.zeros((line.max() + 1, len(lines)))
+    on_line = np.zeros((line.max() + 1, len(mapped)))
     np.add.at(on_line, line.ravel(), np.maximum(covered, 0.0))
-    enough = (on_line[line.ravel()] > MIN_COVERED * (lines.high - lines.low)) & (covered > 0.0)
+    enough = (on_line[line.ravel()] > MIN_COVERED * (mapped.high - mapped.low)) & (covered > 0.0)
     distance[~enough | (np.abs(angle) > MAX_ANGLE) | (distance > MAX_LANDMARK_DISTANCE)] = np.inf
     nearest = distance.argmin(axis=0)
-    return np.where(np.isfinite(distance[nearest, np.arange(len(lines))]), nearest, -1)
+    return np.where(np.isfinite(distance[nearest, np.arange(len(mapped))]), nearest, -1)
 
 
 def _line_coordinates(frames: Floats) -> Floats:
@@ -161,22 +161,22 @@ def _line_coordinates(frames: Floats) -> Floats:
     return np.column_stack([c, s, c * frames[:, 1] - s * frames[:, 0]])
 
 
-def wall_nees(lines: MapWalls, walls: TrueWalls) -> Floats:
+def wall_nees(mapped: MapWalls, walls: TrueWalls) -> Floats:
     """Return the NEES (n,) of offset and heading of mapped walls, NaN for those without a true wall."""
-    match = match_walls(lines, walls)
+    match = match_walls(mapped, walls)
     found = match >= 0
-    result = np.full(len(lines), np.nan)
-    result[found] = line_nees(lines.frame[found], lines.covariance[found], walls.frame[match[found]])
+    result = np.full(len(mapped), np.nan)
+    result[found] = line_nees(mapped.frame[found], mapped.covariance[found], walls.frame[match[found]])
     return result
 
 
-def corner_nees(corners: MapCorners, lines: MapWalls, walls: TrueWalls) -> Floats:
+def corner_nees(corners: MapCorners, mapped: MapWalls, walls: TrueWalls) -> Floats:
     """Return the NEES (m,) of mapped corners against the intersection of their two true walls.
 
     NaN if one of the walls is not in the map or has no true counterpart, or if the corner is far from the intersection.
     """
-    match = np.append(match_walls(lines, walls), -1)
-    row_of = {int(identity): row for row, identity in enumerate(lines.identity)}
+    match = np.append(match_walls(mapped, walls), -1)
+    row_of = {int(identity): row for row, identity in enumerate(mapped.identity)}
     rows = np.array([[row_of.get(int(wall), -1) for wall in pair] for pair in corners.walls], dtype=np.int64)
     rows = rows.reshape(-1, 2)
     first, second = match[rows].T

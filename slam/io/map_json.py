@@ -92,24 +92,24 @@ class MapFile:
     corners: MapCorners
 
 
-def write_map(path: Path, lines: MapWalls, corners: MapCorners) -> None:
+def write_map(path: Path, walls: MapWalls, corners: MapCorners) -> None:
     """Write the map; covariances that are not finite become null. Raises MapError if another value is not finite."""
-    ends = lines.end_points()
+    ends = walls.end_points()
     try:
         document = _Map(
             lines=[
                 _Line(
-                    identity=int(lines.identity[k]),
-                    frame=_rounded(lines.frame[k]),
-                    low=_rounded(lines.low[k]),
-                    high=_rounded(lines.high[k]),
+                    identity=int(walls.identity[k]),
+                    frame=_rounded(walls.frame[k]),
+                    low=_rounded(walls.low[k]),
+                    high=_rounded(walls.high[k]),
                     start=_rounded(ends[k, 0]),
                     end=_rounded(ends[k, 1]),
-                    pieces=_rounded(lines.pieces[k]),
-                    observations=int(lines.observations[k]),
-                    covariance=_matrix(lines.covariance[k]),
+                    pieces=_rounded(walls.pieces[k]),
+                    observations=int(walls.observations[k]),
+                    covariance=_matrix(walls.covariance[k]),
                 )
-                for k in range(len(lines))
+                for k in range(len(walls))
             ],
             corners=[
                 _Corner(

@@ -166,10 +166,10 @@ class LoopScorer:
                 low, high = sorted(se2.transform(se2.inverse(self._walls.frame[true]), ends[row])[:, 0].tolist())
                 self._observations[int(event.wall_match[row])][int(true)].append((low, high))
 
-    def doubled_walls(self, lines: MapWalls) -> int:
+    def doubled_walls(self, final: MapWalls) -> int:
         """Return the number of walls of the final map that cover a part of a true wall covered by another one."""
         spans_by_wall: dict[int, dict[int, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
-        mapped = set(lines.identity.tolist())
+        mapped = set(final.identity.tolist())
         for identity, by_true in self._observations.items():
             while identity in self._merged_into:
                 identity = self._merged_into[identity]

@@ -34,21 +34,21 @@ def write_geojson(path: Path, results: RunResults, measured: MeasuredMap = NOTHI
     path.write_text(f'{{{head}, "features": [\n{rows}\n]}}\n', encoding="utf-8", newline="\n")
 
 
-def _walls(lines: MapWalls) -> list[dict[str, Any]]:
+def _walls(walls: MapWalls) -> list[dict[str, Any]]:
     """Return a feature for each wall with its observed pieces; `heading` is along it, seen from its left."""
-    points, wall = lines.piece_points()
+    points, wall = walls.piece_points()
     return [
         _feature(
             "MultiLineString",
             _rounded(points[wall == k]),
             kind="wall",
-            identity=int(lines.identity[k]),
-            observations=int(lines.observations[k]),
-            heading=round(float(lines.frame[k, 2]), 6),
-            sigma_offset=_sigma(lines.covariance[k, 0, 0]),
-            sigma_heading=_sigma(lines.covariance[k, 1, 1]),
+            identity=int(walls.identity[k]),
+            observations=int(walls.observations[k]),
+            heading=round(float(walls.frame[k, 2]), 6),
+            sigma_offset=_sigma(walls.covariance[k, 0, 0]),
+            sigma_heading=_sigma(walls.covariance[k, 1, 1]),
         )
-        for k in range(len(lines))
+        for k in range(len(walls))
     ]
 
 

@@ -106,18 +106,18 @@ def draw_map(results: RunResults, *, timed: bool = False, confidence: bool = Fal
     return Drawing(elements, float(left), float(top), float(size[0]), float(size[1]), classes)
 
 
-def _walls(lines: MapWalls) -> Iterator[str]:
+def _walls(walls: MapWalls) -> Iterator[str]:
     """Yield a path for each wall, made of its observed pieces, with a tooltip."""
-    points, wall = lines.piece_points()
-    for k in range(len(lines)):
+    points, wall = walls.piece_points()
+    for k in range(len(walls)):
         pieces = " ".join(f"M{_xy(start)}L{_xy(end)}" for start, end in points[wall == k])
-        length = lines.high[k] - lines.low[k]
-        text = f"wall {lines.identity[k]}: {length:.2f} m, observed in {lines.observations[k]} keyframes"
-        variances = np.diagonal(lines.covariance[k])
+        length = walls.high[k] - walls.low[k]
+        text = f"wall {walls.identity[k]}: {length:.2f} m, observed in {walls.observations[k]} keyframes"
+        variances = np.diagonal(walls.covariance[k])
         if np.isfinite(variances).all():
             offset, heading = 1e3 * np.sqrt(variances[0]), np.degrees(np.sqrt(variances[1]))
             text += f", standard deviation {offset:.1f} mm across and {heading:.2f}°"
-        yield f'<path data-wall="{lines.identity[k]}" d="{pieces}"><title>{escape(text)}</title></path>'
+        yield f'<path data-wall="{walls.identity[k]}" d="{pieces}"><title>{escape(text)}</title></path>'
 
 
 def _confidence_bands(stretches: list[WallStretch], width: float) -> Iterator[str]:
@@ -145,10 +145,10 @@ def _weak_places(results: RunResults, size: float) -> Iterator[str]:
         yield f'<circle class="{place.kind}" cx="{x}" cy="{y}" r="{radius:.3f}">{title}</circle>'
 
 
-def _bands(lines: MapWalls, width: float) -> Iterator[str]:
+def _bands(walls: MapWalls, width: float) -> Iterator[str]:
     """Yield a band along each piece of a wall, on the side that it is seen from."""
-    ends, wall = lines.piece_points()
-    heading = lines.frame[wall, 2]
+    ends, wall = walls.piece_points()
+    heading = walls.frame[wall, 2]
     left = width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     for (start, end), offset in zip(ends, left, strict=True):
         yield f'<path d="M{_xy(start)}L{_xy(end)}L{_xy(end + offset)}L{_xy(start + offset)}Z"/>'

@@ -23,7 +23,7 @@ BAND_WIDTH = 0.0055
 
 def plot_map(
     path: Path,
-    lines: MapWalls,
+    walls: MapWalls,
     corners: MapCorners,
     poses: Floats,
     *,
@@ -35,8 +35,8 @@ def plot_map(
 
     The plot's extent is that of map and path; odometry may leave it. Raises OutputError.
     """
-    drawn = np.concatenate([lines.end_points().reshape(-1, 2), poses[:, :2]])
-    sizes = f"{counted(len(lines), 'wall')}, {counted(len(corners), 'corner')}"
+    drawn = np.concatenate([walls.end_points().reshape(-1, 2), poses[:, :2]])
+    sizes = f"{counted(len(walls), 'wall')}, {counted(len(corners), 'corner')}"
     subtitle = f"{sizes}, {path_length(poses[:, :2]):.1f} m driven"
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
     if odometry is not None:
@@ -46,7 +46,7 @@ def plot_map(
         axes.plot(*truth[:, :2].T, color=GREEN, linewidth=4.0, alpha=0.3, label="true path", zorder=3)
     axes.plot(*poses[:, :2].T, color=BLUE, linewidth=1.2, label="path", zorder=4)
     _ends(axes, poses)
-    _walls(axes, lines)
+    _walls(axes, walls)
     _corners(axes, corners)
     legend(axes)
     save(figure, path)
@@ -61,13 +61,13 @@ def _ends(axes: Axes, poses: Floats) -> None:
     axes.plot(end[0], end[1], **arrow, markeredgecolor="white", linestyle="", label="end", zorder=8)
 
 
-def _walls(axes: Axes, lines: MapWalls) -> None:
+def _walls(axes: Axes, walls: MapWalls) -> None:
     """Draw each wall as a line with a light band on its seen side."""
     from matplotlib.collections import LineCollection, PolyCollection
 
-    ends, wall = lines.piece_points()
+    ends, wall = walls.piece_points()
     width = BAND_WIDTH * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
-    heading = lines.frame[wall, 2]
+    heading = walls.frame[wall, 2]
     left = width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     bands = np.stack([ends[:, 0], ends[:, 1], ends[:, 1] + left, ends[:, 0] + left], axis=1)
     axes.add_collection(

@@ -105,7 +105,7 @@ class EventLog:
         self._dof = 0  # degrees of freedom of the graph; 0: unknown
         self._fit = math.nan  # chi² / dof
         self._keyframes = np.zeros((0, 3))  # all keyframes and landmarks as last received
-        self._lines: MapWalls | None = None
+        self._walls: MapWalls | None = None
         self._corners: MapCorners | None = None
 
     def write(self, event: Event) -> None:
@@ -242,7 +242,7 @@ class EventLog:
             self._decision_layer.log_initial()
             self._status_layer.log_initial()
         self._decision_layer.clear()
-        sigma = self._keyframe_layer.log(event, self._overlap_ratio, self._lines, self._corners)
+        sigma = self._keyframe_layer.log(event, self._overlap_ratio, self._walls, self._corners)
         self._scan_layer.add(event.index, event.pose, event.points)
         self._factor_graph_layer.log_keyframe(event, None if first else previous)
         self._path_layer.add_keyframe(event.index, event.pose, event.odometry, sigma)
@@ -286,7 +286,7 @@ class EventLog:
     def _write_map(self, event: MapUpdated) -> None:
         self._follow_without_keyframes(event.stamp)
         self._at(max(self._index or 0, event.index), event.stamp)
-        self._lines, self._corners, self._keyframes = event.walls, event.corners, event.keyframes
+        self._walls, self._corners, self._keyframes = event.walls, event.corners, event.keyframes
         self._log_map(event.walls, event.corners, event.keyframes, event.keyframes)
         if self._corrections > self._correction_steps and len(event.keyframes):
             self._pose = event.keyframes[-1]
@@ -302,18 +302,18 @@ class EventLog:
         return chi2 / self._dof if self._dof > 0 else math.nan
 
     def _write_inspection(self, event: GraphInspected) -> None:
-        if self._lines is not None and self._corners is not None:
+        if self._walls is not None and self._corners is not None:
             self._at(max(self._index or 0, event.index), event.stamp)
-            self._factor_graph_layer.log(event, self._keyframes, self._lines, self._corners)
+            self._factor_graph_layer.log(event, self._keyframes, self._walls, self._corners)
 
-    def _log_map(self, lines: MapWalls, corners: MapCorners, path: Floats, keyframes: Floats) -> None:
+    def _log_map(self, walls: MapWalls, corners: MapCorners, path: Floats, keyframes: Floats) -> None:
         if self._index is not None and self._index >= len(keyframes):
             self._keyframe_layer.clear()
-        self._map_layer.log(lines, corners)
+        self._map_layer.log(walls, corners)
         self._path_layer.log_estimate(path, keyframes)
         self._scan_layer.log_all(keyframes)
         self._decision_layer.log_loops(keyframes)
-        self._shown_area.enlarge(*bounds(lines.end_points(), path))
+        self._shown_area.enlarge(*bounds(walls.end_points(), path))
 
     def _write_finish(self, event: Finished) -> None:
         self._end_steps()

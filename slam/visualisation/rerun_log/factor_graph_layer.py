@@ -50,7 +50,7 @@ class FactorGraphLayer:
         """Undo the merges from a keyframe on."""
         self._merged = [merged for merged in self._merged if merged[0] < keyframe]
 
-    def log(self, event: GraphInspected, keyframes: Floats, lines: MapWalls, corners: MapCorners) -> None:
+    def log(self, event: GraphInspected, keyframes: Floats, walls: MapWalls, corners: MapCorners) -> None:
         """Log an inspection; keyframes (k, 3) and landmarks are the current estimate."""
         residuals = event.residuals
         if not len(residuals):
@@ -73,7 +73,7 @@ class FactorGraphLayer:
         fits |= {kind: _mean_per_dof(residuals, residuals.is_kind(kind)) for kind in present}
         self._time_series.log("fit", fits)
         merged_into = {absorbed: kept for _, absorbed, kept, _ in self._merged}
-        positions = _VariablePositions(keyframes, lines, corners, merged_into)
+        positions = _VariablePositions(keyframes, walls, corners, merged_into)
         self._log_in_map(residuals, worst, positions)
         self._log_histogram(residuals)
 
@@ -153,10 +153,10 @@ class FactorGraphLayer:
 class _VariablePositions:
     """Positions of the graph's variables in the map; a merged wall has the position of the wall it was merged into."""
 
-    def __init__(self, keyframes: Floats, lines: MapWalls, corners: MapCorners, merged_into: dict[int, int]) -> None:
+    def __init__(self, keyframes: Floats, walls: MapWalls, corners: MapCorners, merged_into: dict[int, int]) -> None:
         self._keyframes, self._merged_into = keyframes, merged_into
-        middles = lines.end_points().mean(axis=1).reshape(-1, 2)
-        self._walls = _by_identity(lines.identity, middles)
+        middles = walls.end_points().mean(axis=1).reshape(-1, 2)
+        self._walls = _by_identity(walls.identity, middles)
         self._corners = _by_identity(corners.identity, corners.position.reshape(-1, 2))
 
     def kept_wall(self, wall: int) -> int:

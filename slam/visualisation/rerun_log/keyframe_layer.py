@@ -67,12 +67,12 @@ class KeyframeLayer:
             self._writer.log_batched(entity, rr.Transform3D, translation=translation, quaternion=rotation)
         self._writer.log_batched("world/here", rr.Transform3D, translation=translation)
 
-    def correct(self, pose: se2.Pose, lines: MapWalls, corners: MapCorners) -> None:
+    def correct(self, pose: se2.Pose, walls: MapWalls, corners: MapCorners) -> None:
         """Move the last keyframe with its features to its pose in a corrected map."""
         self.place(pose)
         if self._event is not None:
             self._event = replace(self._event, pose=pose)
-            self._log_features(self._event, lines, corners)
+            self._log_features(self._event, walls, corners)
 
     def clear(self) -> None:
         """Remove the last keyframe, which is in the map no more, for example as a lost robot was found again."""
@@ -92,16 +92,16 @@ class KeyframeLayer:
         self._writer.log("world/relocalisations", strips)
 
     def log(
-        self, event: KeyframeAdded, overlap_ratio: float, lines: MapWalls | None, corners: MapCorners | None
+        self, event: KeyframeAdded, overlap_ratio: float, walls: MapWalls | None, corners: MapCorners | None
     ) -> float:
         """Log a keyframe and return the largest sigma of its position, metres, NaN if unknown.
 
         overlap_ratio   from the registration of its scan
-        lines, corners  the map as last received
+        walls, corners  the map as last received
         """
         self._event = event
         position_sigma, heading_sigma = self._log_pose(event)
-        self._log_features(event, lines, corners)
+        self._log_features(event, walls, corners)
         self._log_time_series(event, overlap_ratio, position_sigma, heading_sigma)
         report = documents.keyframe(event, position_sigma, heading_sigma)
         self._writer.log_batched("keyframe", rr.TextDocument, text=[report], media_type=[rr.MediaType.MARKDOWN])
@@ -125,16 +125,16 @@ class KeyframeLayer:
         variance = float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
         return math.sqrt(max(variance, 0.0)), math.sqrt(max(float(covariance[2, 2]), 0.0))
 
-    def _log_features(self, event: KeyframeAdded, lines: MapWalls | None, corners: MapCorners | None) -> None:
+    def _log_features(self, event: KeyframeAdded, walls: MapWalls | None, corners: MapCorners | None) -> None:
         ends = segment_ends(event.segments, event.pose)
         position = se2.transform(event.pose, event.corners.position.reshape(-1, 2))
-        walls, points = FeatureMatches.of_segments(event), FeatureMatches.of_corners(event)
+        segments, points = FeatureMatches.of_segments(event), FeatureMatches.of_corners(event)
         self._writer.log_batched(
             "world/features/segments",
             rr.LineStrips3D,
             strips=to_3d(ends, Height.FEATURE),
-            colors=_match_colours(walls),
-            labels=walls.labels(),
+            colors=_match_colours(segments),
+            labels=segments.labels(),
         )
         self._writer.log_batched(
             "world/features/corners",
@@ -144,12 +144,12 @@ class KeyframeLayer:
             labels=points.labels(),
         )
         for name, of_walls, of_points in (
-            ("matched", walls.matched, points.matched),
-            ("gated_out", walls.gated_out, points.gated_out),
+            ("matched", segments.matched, points.matched),
+            ("gated_out", segments.gated_out, points.gated_out),
         ):
             found = [np.empty((0, 2, 2))]
-            if lines is not None:
-                found.append(wall_links(ends.mean(axis=1), of_walls, lines))
+            if walls is not None:
+                found.append(wall_links(ends.mean(axis=1), of_walls, walls))
             if corners is not None:
                 found.append(corner_links(position, of_points, corners))
             links = to_3d(np.concatenate(found), Height.LINK)

@@ -35,20 +35,20 @@ class MapLayer:
         for name, style in (("walls", walls), ("wall_sigma", bands), ("corners", corners), ("corner_sigma", spread)):
             writer.log_static(f"world/map/{name}", style)
 
-    def log(self, lines: MapWalls, corners: MapCorners) -> None:
+    def log(self, walls: MapWalls, corners: MapCorners) -> None:
         """Log the whole map at the current time."""
-        self._log_walls(lines)
+        self._log_walls(walls)
         self._log_corners(corners)
 
-    def _log_walls(self, lines: MapWalls) -> None:
+    def _log_walls(self, walls: MapWalls) -> None:
         """Log the walls with labels like `L12 n=7`, and the bands of those with a covariance."""
-        ends, wall = lines.piece_points()
-        identity, observations = lines.identity[wall], lines.observations[wall]
+        ends, wall = walls.piece_points()
+        identity, observations = walls.identity[wall], walls.observations[wall]
         labels = [f"L{k} n={n}" for k, n in zip(identity.tolist(), observations.tolist(), strict=True)]
         shades = [colours.WALL if n >= MIN_OBSERVATIONS else colours.WALL_NEW for n in observations.tolist()]
-        walls = rr.LineStrips3D.from_fields(strips=to_3d(ends, Height.WALL), colors=shades, labels=labels)
-        self._writer.log("world/map/walls", walls)
-        bands = rr.LineStrips3D.from_fields(strips=to_3d(wall_bands(lines), Height.SIGMA))
+        strips = rr.LineStrips3D.from_fields(strips=to_3d(ends, Height.WALL), colors=shades, labels=labels)
+        self._writer.log("world/map/walls", strips)
+        bands = rr.LineStrips3D.from_fields(strips=to_3d(wall_bands(walls), Height.SIGMA))
         self._writer.log("world/map/wall_sigma", bands)
 
     def _log_corners(self, corners: MapCorners) -> None:

@@ -87,14 +87,14 @@ def largest_sigmas(covariance: Floats) -> Floats:
     return largest
 
 
-def wall_bands(lines: MapWalls) -> Floats:
+def wall_bands(walls: MapWalls) -> Floats:
     """Return closed outlines (k, 5, 2) of the 3-sigma bands of the walls' offset along their length, metres.
 
     Walls whose covariance is not finite are left out.
     """
-    finite = np.isfinite(lines.covariance).all(axis=(1, 2))
-    frame, covariance = lines.frame[finite], lines.covariance[finite]
-    x = np.stack([lines.low[finite], lines.high[finite]], axis=-1)
+    finite = np.isfinite(walls.covariance).all(axis=(1, 2))
+    frame, covariance = walls.frame[finite], walls.covariance[finite]
+    x = np.stack([walls.low[finite], walls.high[finite]], axis=-1)
     offset, coupling, heading = covariance[:, 0, 0], covariance[:, 0, 1], covariance[:, 1, 1]
     variance = offset[:, None] + 2 * x * coupling[:, None] + x**2 * heading[:, None]
     y = SIGMAS * np.sqrt(np.maximum(variance, 0.0))
@@ -110,16 +110,16 @@ def dashed(ends: Floats) -> Floats:
     return np.asarray(ends[:, None, None, 0] + parts[None, :, :, None] * along[:, None, None]).reshape(-1, 2, 2)
 
 
-def wall_links(centres: Floats, match: Integers, lines: MapWalls) -> Floats:
+def wall_links(centres: Floats, match: Integers, walls: MapWalls) -> Floats:
     """Return lines (k, 2, 2) from segment centres (n, 2) to their feet on the matched walls, metres.
 
-    A long link reveals a wrong match. Centres without a match, or whose wall `lines` does not contain yet, are left
+    A long link reveals a wrong match. Centres without a match, or whose wall `walls` does not contain yet, are left
     out.
     """
-    matched, walls = _rows_of(match, lines.identity)
-    on_wall = se2.transform(se2.inverse(lines.frame[walls]), centres[matched])
+    matched, rows = _rows_of(match, walls.identity)
+    on_wall = se2.transform(se2.inverse(walls.frame[rows]), centres[matched])
     on_wall[:, 1] = 0.0
-    return np.stack([centres[matched], se2.transform(lines.frame[walls], on_wall)], axis=1)
+    return np.stack([centres[matched], se2.transform(walls.frame[rows], on_wall)], axis=1)
 
 
 def corner_links(position: Floats, match: Integers, corners: MapCorners) -> Floats:
