@@ -18,6 +18,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..geometry.segments import Floats, Integers
 from ..geometry.wall_intersection import MIN_SINE
@@ -256,13 +257,14 @@ def _meets(bridge: Floats, path: Floats) -> bool:
     return any(crossing(a, b, path[:-1], path[1:]).any() for a, b in pairwise(bridge))
 
 
-def crossing(a: Floats, b: Floats, starts: Floats, ends: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return (n,) which of the segments from `starts` (n, 2) to `ends` (n, 2) cross the segment from a to b."""
+def crossing(a: Floats, b: Floats, starts: Floats, ends: Floats) -> NDArray[np.bool_]:
+    """Return (...,) which of the segments from `starts` (..., 2) to `ends` cross those from `a` (..., 2) to `b`."""
+    apart = _side(a, b, starts) * _side(a, b, ends) < 0.0
+    return np.asarray(apart & (_side(starts, ends, a) * _side(starts, ends, b) < 0.0))
 
-    def side(p: Floats, q: Floats, r: Floats) -> Floats:
-        return np.asarray(
-            (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
-        )
 
-    apart = side(a, b, starts) * side(a, b, ends) < 0.0
-    return np.asarray(apart & (side(starts, ends, a) * side(starts, ends, b) < 0.0))
+def _side(p: Floats, q: Floats, r: Floats) -> Floats:
+    """Return (...,) numbers that are positive if r (..., 2) is to the left of the line from p to q."""
+    return np.asarray(
+        (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+    )

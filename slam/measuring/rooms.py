@@ -9,7 +9,7 @@ import numpy as np
 
 from ..geometry.segments import Floats
 from .measurement import Kind, Measurement, are_parallel, interior_angle, side_length
-from .outlines import Stretch, find_outlines
+from .outlines import Stretch, crossing, find_outlines
 from .wall_map import WallMap
 
 LABEL_LEVELS = 40
@@ -77,15 +77,7 @@ class Outline:
     def is_simple(self) -> bool:
         """Return True if no two sides cross each other."""
         starts, ends = self.vertices, np.roll(self.vertices, -1, axis=0)
-
-        def side(p: Floats, q: Floats, r: Floats) -> Floats:
-            return np.asarray(
-                (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
-            )
-
-        first, last, other, end = starts[:, None], ends[:, None], starts[None], ends[None]
-        apart = side(first, last, other) * side(first, last, end) < 0.0
-        return not bool((apart & apart.T).any())
+        return not crossing(starts[:, None], ends[:, None], starts[None], ends[None]).any()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
