@@ -36,8 +36,8 @@ class PosePredictor:
         self._fix: PoseFix | None = None
         self._reference: PoseFix | None = None  # from which odometry predicts
         self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
-        self._rival: PoseFix | None = None  # where that scan fits odometry
-        self._rival_cost = 0.0  # by which it costs more there
+        self._alternative: PoseFix | None = None  # where that scan fits odometry
+        self._alternative_cost = 0.0  # by which it costs more there
         self._before_slip: PoseFix | None = None  # reference before the last slip
         self._since_slip = 0.0  # seconds
         self._since_fix: float | None = None  # seconds; None if no slip is possible
@@ -58,7 +58,7 @@ class PosePredictor:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
-        self._tentative = self._rival = self._before_slip = None
+        self._tentative = self._alternative = self._before_slip = None
 
     def is_after_gap(self, taken: int, missing: int) -> bool:
         """Return True if the robot may have left the poses that are searched while no scan was taken.
@@ -112,8 +112,8 @@ class PosePredictor:
         interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
-        if self._rival is not None:  # both hypotheses are followed from where the last scan fits them
-            usual = self._by_odometry(self._rival, odometry, usual.inertia, self._rival_cost)
+        if self._alternative is not None:  # both hypotheses are followed from where the last scan fits them
+            usual = self._by_odometry(self._alternative, odometry, usual.inertia, self._alternative_cost)
         predictions = [usual] if self._since_fix is None else [usual, slip]
         self._since_slip += interval
         if self._before_slip is not None and self._since_slip < STEADY_SECONDS:
@@ -128,19 +128,19 @@ class PosePredictor:
         difference, of_match = se2.between(usual.pose, match.pose), inverse(match.information + CONDITIONING)
         self._prediction_error.add(difference, inverse(usual.information).diagonal(), of_match.diagonal())
 
-    def update(self, result: TrackingResult, odometry: se2.Pose, rival: tuple[se2.Pose, float] | None) -> None:
+    def update(self, result: TrackingResult, odometry: se2.Pose, alternative: tuple[se2.Pose, float] | None) -> None:
         """Keep the pose of a scan as the fix or as tentative, by its status.
 
-        rival  pose where a tentative scan fits odometry, and by how much it costs more there; None without one
+        alternative  pose where a tentative scan fits odometry, and by how much it costs more there; None without one
         """
-        self._tentative = self._rival = None
+        self._tentative = self._alternative = None
         if result.status is TrackingStatus.NO_FEATURES:
             return
         fix = PoseFix(result.pose, odometry)
         if result.status is TrackingStatus.TENTATIVE:
             self._tentative = fix
-            if rival is not None:
-                self._rival, self._rival_cost = PoseFix(rival[0], odometry), rival[1]
+            if alternative is not None:
+                self._alternative, self._alternative_cost = PoseFix(alternative[0], odometry), alternative[1]
         if result.status is not TrackingStatus.TRACKED:
             return
         assert self._fix is not None

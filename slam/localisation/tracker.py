@@ -148,7 +148,7 @@ class Tracker:
                 self._predictor.learn(usual, match.points)
         elif result.status is not TrackingStatus.NO_FEATURES:
             self._untracked_in_a_row += 1
-        self._predictor.update(result, odometry, _rival(match, usual) if self._measured else None)
+        self._predictor.update(result, odometry, _alternative(match, usual) if self._measured else None)
 
     @property
     def _measured(self) -> bool:
@@ -236,7 +236,7 @@ def _same_place(match: ScanMatch, other: PointMatch) -> bool:
     return bool(np.all(np.abs(se2.between(other.pose, match.points.pose)) < PREDICTION_SIGMAS))
 
 
-def _rival(match: ScanMatch, usual: Prediction) -> tuple[se2.Pose, float] | None:
+def _alternative(match: ScanMatch, usual: Prediction) -> tuple[se2.Pose, float] | None:
     """Return the other pose where a scan fits the usual prediction, and how much more it costs; None if nowhere."""
     for other in match.others:
         if other.prediction is usual and other.known >= MIN_KNOWN_POINTS and not other.poor:

@@ -157,8 +157,8 @@ def match_points(
     first = match_from(field, points, predictions[0].pose, predictions[0])
     searched = first.known >= MIN_KNOWN_POINTS if exhaustive else first.poor
     if not searched and len(predictions) <= MAX_UNSEARCHED:
-        rivals = [rival for rival in predictions[1:] if rival.least_cost < first.cost]
-        return _ranked(field, points, [first, *(match_from(field, points, rival.pose, rival) for rival in rivals)])
+        others = [other for other in predictions[1:] if other.least_cost < first.cost]
+        return _ranked(field, points, [first, *(match_from(field, points, other.pose, other) for other in others)])
     few = np.ascontiguousarray(subsample(points, MAX_SEARCH_POINTS))  # strided ones would be compiled for separately
     share = len(points) / max(1, len(few)) / POINTS_PER_OBJECT
     matches: list[PointMatch] = []
