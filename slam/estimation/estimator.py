@@ -63,19 +63,19 @@ class Estimator:
     def __init__(self, state: SlamState) -> None:
         self.state = state
         self._monitor = ClosureMonitor()
-        self._frozen: SlamState | None = None  # state of a frozen map while the robot is lost in it
+        self._frozen_state: SlamState | None = None  # state of a frozen map while the robot is lost in it
         self._earlier: EarlierPart | None = None  # while it is open if the robot has left it
 
     @property
     def result(self) -> SlamState:
         """State with the results: that of the frozen map if the robot is lost in it, else the present state."""
-        return self.state if self._frozen is None else self._frozen
+        return self.state if self._frozen_state is None else self._frozen_state
 
     @property
     def placed_by_odometry(self) -> bool:
         """True if the robot has driven on without being recognised where odometry has it: the place is new."""
         parts, travelled = self.state.mapper.landmarks.parts, self.state.mapper.travelled
-        if self._frozen is not None or not parts.reachable(np.zeros(1, dtype=np.int64))[0]:
+        if self._frozen_state is not None or not parts.reachable(np.zeros(1, dtype=np.int64))[0]:
             return False
         return travelled[-1] - travelled[parts.current_first] > MAX_SEARCH_DISTANCE
 
@@ -84,7 +84,7 @@ class Estimator:
         timer = timer or StageTimer()
         if self._earlier is not None and (resumed := self._test_earlier_part(scan)) is not None:
             return resumed
-        on_trial = self._frozen is not None
+        on_trial = self._frozen_state is not None
         tracking = track(self.state, scan, timer)
         self._monitor.record(scan)  # before a closure, whose checkpoint includes this scan
         if tracking.abrupt:  # it fits here by chance, as in a look-alike place
@@ -93,7 +93,7 @@ class Estimator:
         if update is not None and update.loop is not None and update.loop.status is LoopStatus.CONFIRMED:
             update = self._close_loop(scan, update, update.loop)
             timer.lap("closing")
-        in_plan = update is not None and self._frozen is None and update_by_plan(self.state, update.observations)
+        in_plan = update is not None and self._frozen_state is None and update_by_plan(self.state, update.observations)
         mapper, joined = self.state.mapper, _joined_part(update)
         retracted = self._retract_contradicted_closure()
         result = ScanResult(tracking, update, retracted, mapper, in_plan=in_plan, joined=joined)
@@ -101,7 +101,7 @@ class Estimator:
             unmeasured = self.state.view_changed or not self.state.odometry_model.measured
             began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=unmeasured)
             result = replace(began, retracted=result.retracted)
-        if on_trial or self._frozen is not None:  # the map on trial is not a result
+        if on_trial or self._frozen_state is not None:  # the map on trial is not a result
             return replace(result, update=None, mapper=self.result.mapper)
         return result
 
@@ -116,13 +116,13 @@ class Estimator:
             parts.drop_last()
         if not trial.mapper.keyframe_count or parts.current_is_apart or not trial.place(pose, scan):
             return False
-        self.state, self._frozen, self._earlier, self._monitor = trial, None, None, ClosureMonitor()
+        self.state, self._frozen_state, self._earlier, self._monitor = trial, None, None, ClosureMonitor()
         return True
 
     def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool, expected: Expectation = LOST) -> None:
         """Map in a new part from now on, beginning at a pose; see `SlamState.begin_part`."""
         if self.state.frozen:
-            self._frozen = self.state
+            self._frozen_state = self.state
             self.state = self.state.copy()
             self.state.frozen = False
         self.state.begin_part(pose, odometry, kidnapped=kidnapped, expected=expected)
@@ -139,8 +139,8 @@ class Estimator:
 
         If the robot is lost in the map, a new part of it begins; the map on trial is discarded.
         """
-        lost = self._frozen is not None
-        self.state, self._frozen, self._earlier = self.result, None, None
+        lost = self._frozen_state is not None
+        self.state, self._frozen_state, self._earlier = self.result, None, None
         self.state.frozen, self.state.untracked_scans, self.state.tentative = False, [], []
         self.state.last_view = None
         self.state.mapper.gauge.hold(self.state.mapper)
@@ -167,7 +167,7 @@ class Estimator:
         if tracking is None or self._earlier is None or not self._earlier.holds:
             return None
         self.state, self._monitor = self._earlier.state, self._earlier.monitor
-        self._earlier = self._frozen = None
+        self._earlier = self._frozen_state = None
         return ScanResult(tracking, None, None, self.state.mapper, resumed=True)
 
     def _close_loop(self, scan: ProcessedScan, update: KeyframeUpdate, decision: LoopDecision) -> KeyframeUpdate:
@@ -181,8 +181,8 @@ class Estimator:
             return replace(update, loop=decision)
         if decision.joins:
             self._earlier = None
-        if self._frozen is not None and decision.old < self._frozen.mapper.keyframe_count:
-            self.state, self._frozen = self._frozen.copy(), None
+        if self._frozen_state is not None and decision.old < self._frozen_state.mapper.keyframe_count:
+            self.state, self._frozen_state = self._frozen_state.copy(), None
             self.state.relocalise(trial, scan.odometry)
             return replace(update, loop=replace(decision, since=self.state.mapper.keyframe_count))
         self._monitor.add(self.state, decision)
