@@ -13,6 +13,8 @@ import math
 import time
 
 NANOSECONDS = 1_000_000_000
+MIN_EPOCH_STAMP = 1e8
+"""Seconds. Larger stamps (1973) count from 1970, smaller ones from the start of the recording."""
 CLOCK_READINGS = 5
 """Number of readings of both clocks; the one with the shortest interruption is used."""
 

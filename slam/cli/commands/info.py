@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from drivers.timestamps import MIN_EPOCH_STAMP
+
 from ...formatting import counted
 from ..console import printable
 from ..options import OtherRecordingArgument
@@ -18,8 +20,6 @@ if TYPE_CHECKING:
 
     from ...io.recording_timing import RecordingTiming
 
-CALENDAR = 1e8
-"""Stamps in seconds from here on (1973) are interpreted as dates, smaller ones as times since a start."""
 
 MAX_INTENSITY = 1e9
 """Intensities from here on are no measurements, which have 16 bits at most, but memory that a driver did not set."""
@@ -87,7 +87,7 @@ def _time(found: RecordingInfo) -> str:
     if found.start is None:
         return "no measurements"
     start = f"{found.start:.3f} s"
-    if found.start > CALENDAR:
+    if found.start > MIN_EPOCH_STAMP:
         start = f"{datetime.fromtimestamp(found.start, UTC):%Y-%m-%d %H:%M:%S} UTC ({start})"
     return f"{found.duration:.1f} s from {start}"
 

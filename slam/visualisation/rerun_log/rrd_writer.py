@@ -13,11 +13,13 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from drivers.timestamps import MIN_EPOCH_STAMP
+
 from ...errors import OutputError
 from ...io.disk_reserve import free_space
 from .log_files import part_name
 from .row_batches import Archetype, Row, RowBatch, Values, columns_of
-from .timelines import CANDIDATE, CLOSURE, KEYFRAME, MIN_EPOCH_STAMP, SENSOR_TIME
+from .timelines import CANDIDATE, CLOSURE, KEYFRAME, SENSOR_TIME
 from .viewer import ViewerServer
 
 APPLICATION = "wclm-slam"  # the viewer stores layouts by this name

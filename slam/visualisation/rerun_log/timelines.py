@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from drivers.timestamps import MIN_EPOCH_STAMP
+
 SENSOR_TIME, KEYFRAME = "sensor_time", "keyframe"
 CANDIDATE, CLOSURE = "candidate", "closure"
 """Timelines with one step per loop decision and per correction of the map."""
-MIN_EPOCH_STAMP = 1e8  # larger stamps are seconds since 1970, smaller ones count from the start of the recording
 
 
 def time_column(timeline: str, values: list[int]) -> rr.TimeColumn:
