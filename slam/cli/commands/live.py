@@ -131,7 +131,7 @@ def _devices(
     Raises DriverError or BadParameter if the options do not fit, or if neither a terminal nor a page can drive.
     """
     if not lidar:
-        raise typer.BadParameter("a lidar is required", param_hint="--lidar")
+        raise typer.BadParameter("no lidar is given; `wclm devices` lists them", param_hint="--lidar")
     specs = parse_device_options(lidar, base)
     driving = parse_drive_options(drive, max_speed, max_turn_rate, specs)
     if driving is not None and not (with_page or sys.stdin.isatty()):
