@@ -2,13 +2,14 @@
 
 import resource
 import sys
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from slam.geometry.growing_array import GrowingArray
+
+from ...traced_memory import traced_memory
 
 
 def test_array_holds_the_rows_that_were_appended() -> None:
@@ -80,19 +81,17 @@ def test_to_overwrite_the_last_row_again_takes_no_memory() -> None:
     array = GrowingArray((3,), np.ones((100_000, 3)))
     copy = array.copy()
     array.overwrite_last(np.zeros(3))
-    tracemalloc.start()
-    array.overwrite_last(np.ones(3))
-    assert tracemalloc.get_traced_memory()[1] < 0.01 * copy.rows.nbytes
-    tracemalloc.stop()
+    with traced_memory() as memory:
+        array.overwrite_last(np.ones(3))
+    assert memory.peak < 0.01 * copy.rows.nbytes
 
 
 def test_a_copy_takes_no_memory_for_the_rows() -> None:
     """Each save of a live run copies them, which are more the longer the robot drives."""
     array = GrowingArray((9,), np.ones((100_000, 9)))
-    tracemalloc.start()
-    copy = array.copy()
-    assert tracemalloc.get_traced_memory()[1] < 0.01 * copy.rows.nbytes
-    tracemalloc.stop()
+    with traced_memory() as memory:
+        copy = array.copy()
+    assert memory.peak < 0.01 * copy.rows.nbytes
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="resident memory is read from /proc")

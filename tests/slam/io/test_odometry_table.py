@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +9,8 @@ import pytest
 
 from slam.io.sessions.odometry import read_odometry, write_odometry
 from slam.odometry.history import BLOCK, OdometryHistory
+
+from ...traced_memory import traced_memory
 
 
 def history(readings: int, begin: float = 0.0) -> OdometryHistory:
@@ -36,11 +37,9 @@ def test_the_memory_to_write_odometry_does_not_grow_with_the_drive(tmp_path: Pat
 
     def needed(readings: int) -> int:
         written = [history(readings)]
-        tracemalloc.start()
-        write_odometry(tmp_path / "odometry.parquet", written)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return peak
+        with traced_memory() as memory:
+            write_odometry(tmp_path / "odometry.parquet", written)
+        return memory.peak
 
     needed(100)  # imports
     assert needed(8 * BLOCK) < 1.1 * needed(4 * BLOCK)

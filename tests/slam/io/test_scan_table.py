@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,8 @@ from slam.io.sessions.scans import ScanRecords, write_scans
 from slam.mapping.trajectory_builder import TrajectoryBuilder
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from slam.preprocessing.scan_sequence import ScanSequence
+
+from ...traced_memory import traced_memory
 
 RECORD = 40 + 112
 """Bytes of a scan without features, and of its pose on the trajectory."""
@@ -28,11 +29,9 @@ def records(count: int) -> ScanRecords:
 def test_to_write_scans_takes_less_memory_than_a_copy_of_their_record(tmp_path: Path) -> None:
     def needed(count: int) -> int:
         written = records(count)
-        tracemalloc.start()
-        write_scans(tmp_path / "scans.parquet", written)
-        peak = tracemalloc.get_traced_memory()[1]
-        tracemalloc.stop()
-        return peak
+        with traced_memory() as memory:
+            write_scans(tmp_path / "scans.parquet", written)
+        return memory.peak
 
     needed(10)  # imports
     assert needed(12_000) - needed(4_000) < 0.5 * RECORD * 8_000

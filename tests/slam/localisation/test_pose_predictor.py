@@ -19,7 +19,7 @@ INFORMATION = 1e6 * np.eye(3)
 
 def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() -> None:
     predictor = PosePredictor(OdometryModel(OdometryConfig()))
-    tentative, rival = np.array([0.9, 0.3, 0.1]), np.array([0.25, 0.0, 0.2])
+    tentative, alternative = np.array([0.9, 0.3, 0.1]), np.array([0.25, 0.0, 0.2])
     predictor.move_to(np.zeros(3), np.zeros(3))
     odometry = np.zeros(3)
     for k in range(2):
@@ -29,10 +29,10 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
     before = predictor.predict(0.2, odometry)[0]
     np.testing.assert_allclose(before.pose, odometry, atol=1e-9)
     predictor.update(
-        tracking_result(TrackingStatus.TENTATIVE, pose=tentative, information=INFORMATION), odometry, (rival, 4.0)
+        tracking_result(TrackingStatus.TENTATIVE, pose=tentative, information=INFORMATION), odometry, (alternative, 4.0)
     )
     usual, *_, from_tentative, _even = predictor.predict(0.3, odometry + STEP)
-    np.testing.assert_allclose(usual.pose, se2.compose(rival, STEP), atol=1e-9)
+    np.testing.assert_allclose(usual.pose, se2.compose(alternative, STEP), atol=1e-9)
     assert usual.cost == 4.0
     np.testing.assert_allclose(from_tentative.pose, se2.compose(tentative, STEP), atol=1e-9)
     assert from_tentative.cost == 0.0

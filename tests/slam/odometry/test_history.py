@@ -1,13 +1,12 @@
 """Odometry history: interpolation and order of the readings."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 
 from drivers.messages import Odometry
 from slam.odometry.history import OdometryHistory
 
+from ...traced_memory import traced_memory
 from .circle import circle_history, pose_on_circle
 
 
@@ -55,29 +54,24 @@ def test_a_copy_does_not_change_with_the_history() -> None:
 def test_a_copy_takes_no_memory_for_the_readings() -> None:
     """Each save of a live run copies them, which are more the longer the robot drives."""
     history = OdometryHistory.from_arrays(np.arange(100_000.0), np.zeros((100_000, 3)))
-    tracemalloc.start()
-    copy = history.copy()
-    assert tracemalloc.get_traced_memory()[1] < 0.01 * copy.poses.nbytes
-    tracemalloc.stop()
+    with traced_memory() as memory:
+        copy = history.copy()
+    assert memory.peak < 0.01 * copy.poses.nbytes
 
 
 def test_memory_of_a_reading_is_four_numbers() -> None:
     history = OdometryHistory()
-    tracemalloc.start()
-    for k in range(10_000):
-        history.add(Odometry(float(k), np.array([k, 0.0, 0.0])))
-    used = tracemalloc.get_traced_memory()[0]
-    tracemalloc.stop()
-    assert used < 10_000 * 4 * 8 * 1.2
+    with traced_memory() as memory:
+        for k in range(10_000):
+            history.add(Odometry(float(k), np.array([k, 0.0, 0.0])))
+    assert memory.kept < 10_000 * 4 * 8 * 1.2
 
 
 def test_poses_at_few_stamps_need_little_memory_whatever_the_length_of_the_history() -> None:
     history = OdometryHistory.from_arrays(np.arange(100_000.0), np.zeros((100_000, 3)))
-    tracemalloc.start()
-    history.at_each(np.array([70_000.2, 70_001.5, 70_003.0]))
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 20_000
+    with traced_memory() as memory:
+        history.at_each(np.array([70_000.2, 70_001.5, 70_003.0]))
+    assert memory.peak < 20_000
 
 
 def test_travel_does_not_depend_on_the_blocks_in_which_it_is_summed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -30,6 +29,7 @@ from slam.offline.map_diff.outputs import diff_text, write_diff_geojson, write_d
 from slam.offline.map_diff.plan import survey_plan
 from slam.offline.map_diff.sight import SeenThrough
 
+from ...traced_memory import traced_memory
 from ..measuring.plans import around, moved, room, wall_map
 from ..outlines import outline, visible
 
@@ -227,11 +227,9 @@ def test_a_large_plan_needs_no_joint_covariance_of_its_walls() -> None:
     blocks = np.tile(np.diag([9e-4, 2.5e-5]), (count, 1, 1))
     walls = MapWalls(rows, frames, zeros - 0.4, zeros + 0.4, np.ones(count, dtype=np.int64), blocks, pieces)
     plan = Plan("long", np.zeros((1, 2, 2)), np.zeros(1, dtype=bool), 1e-3)
-    tracemalloc.start()
-    survey = survey_plan(PlanMap(plan, walls, np.zeros((0, 2, 2)), ()))
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak < 20e6  # bytes; the joint covariance would have 800 million
+    with traced_memory() as memory:
+        survey = survey_plan(PlanMap(plan, walls, np.zeros((0, 2, 2)), ()))
+    assert memory.peak < 20e6  # bytes; the joint covariance would have 800 million
     np.testing.assert_array_equal(survey.wall_map.joint_covariance(np.array([7, 3])), np.diag([9e-4, 2.5e-5] * 2))
 
 

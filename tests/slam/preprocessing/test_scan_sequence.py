@@ -1,7 +1,5 @@
 """Processed scans of a session: they are returned as they were added, and need little memory without features."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 
@@ -10,6 +8,8 @@ from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from slam.preprocessing.scan_sequence import ScanSequence
+
+from ...traced_memory import traced_memory
 
 
 def features() -> ScanFeatures:
@@ -71,18 +71,15 @@ def test_dropped_features_are_gone_and_a_copy_keeps_them() -> None:
 def test_a_copy_takes_no_memory_for_scans_without_features() -> None:
     """Each save of a live run copies them, which are more the longer the robot drives."""
     sequence = ScanSequence([ProcessedScan(1.0, np.zeros(3), NO_FEATURES, 0.0)] * 10_000)
-    tracemalloc.start()
-    copy = sequence.copy()
-    assert tracemalloc.get_traced_memory()[1] < 0.05 * copy.odometry.nbytes
-    tracemalloc.stop()
+    with traced_memory() as memory:
+        copy = sequence.copy()
+    assert memory.peak < 0.05 * copy.odometry.nbytes
 
 
 def test_a_scan_without_features_takes_five_numbers() -> None:
     scan = ProcessedScan(1.0, np.zeros(3), NO_FEATURES, 0.0)
-    tracemalloc.start()
-    sequence = ScanSequence()
-    for _ in range(10_000):
-        sequence.append(scan)
-    used = tracemalloc.get_traced_memory()[0]
-    tracemalloc.stop()
-    assert used < 10_000 * 5 * 8 * 1.2
+    with traced_memory() as memory:
+        sequence = ScanSequence()
+        for _ in range(10_000):
+            sequence.append(scan)
+    assert memory.kept < 10_000 * 5 * 8 * 1.2
