@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import re
+from pathlib import Path
 
+from typer.testing import CliRunner
+
+from slam.cli.app import app
+from slam.io.output_dir import SUMMARY
 from slam.io.sessions.header import SESSION_VERSION, SessionHeader
 
 from .blocks import ROOT
@@ -22,3 +28,11 @@ def test_the_header_of_a_session_is_described_completely() -> None:
     stored = {key for record in (schema, *schema["$defs"].values()) for key in record["properties"]}
     assert "scan_stamp" in stored
     assert stored - described == set()
+
+
+def test_the_summary_of_a_run_is_described_completely(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["run", "sim:room?duration=3", "--out", str(tmp_path / "out"), "--no-review"])
+    assert result.exit_code == 0, result.output
+    summary = json.loads((tmp_path / "out" / SUMMARY).read_text())
+    described = set(re.findall(r"`([a-z_0-9]+)`", PAGE.split("## `summary.json`")[1].split("\n## ")[0]))
+    assert {*summary, *summary["slam"]} - described == set()
