@@ -10,8 +10,9 @@ from drivers import se2
 
 from .config import Config
 from .estimation.journal import Journal
+from .estimation.placing import INITIAL_POSE_SIGMAS
 from .estimation.plan_prior import PlanPrior
-from .estimation.slam_state import INITIAL_POSE_SIGMAS, SlamState
+from .estimation.slam_state import SlamState
 from .loop_closure.agreement import LoopAgreement
 from .mapping.plan_map import PlanMap
 from .preprocessing.preprocessor import Preprocessor

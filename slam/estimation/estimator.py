@@ -23,6 +23,7 @@ from ..recognition.location import LOST, Expectation
 from .closure_monitor import ClosureMonitor
 from .earlier_part import EarlierPart
 from .loop_update import close_loop
+from .placing import place, relocalise
 from .plan_update import update_by_plan
 from .scan_update import KeyframeUpdate, track, update_map
 from .slam_state import SlamState
@@ -114,7 +115,7 @@ class Estimator:
         parts = trial.mapper.landmarks.parts
         if trial.at_part_begin:
             parts.drop_last()
-        if not trial.mapper.keyframe_count or parts.current_is_apart or not trial.place(pose, scan):
+        if not trial.mapper.keyframe_count or parts.current_is_apart or not place(trial, pose, scan):
             return False
         self.state, self._frozen_state, self._earlier, self._monitor = trial, None, None, ClosureMonitor()
         return True
@@ -183,7 +184,7 @@ class Estimator:
             self._earlier = None
         if self._frozen_state is not None and decision.old < self._frozen_state.mapper.keyframe_count:
             self.state, self._frozen_state = self._frozen_state.copy(), None
-            self.state.relocalise(trial, scan.odometry)
+            relocalise(self.state, trial, scan.odometry)
             return replace(update, loop=replace(decision, since=self.state.mapper.keyframe_count))
         self._monitor.add(self.state, decision)
         self.state = trial

@@ -18,7 +18,6 @@ from drivers import se2
 from ..config import Config
 from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import LocalField, LocalFieldState
-from ..localisation.match_target import MatchTarget
 from ..localisation.tracker import Tracker
 from ..localisation.tracking import PoseFix, TrackingResult
 from ..loop_closure.agreement import LoopAgreement
@@ -28,8 +27,6 @@ from ..mapping.keyframes import KeyframeObservations
 from ..mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, empty_local_map
 from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
-from ..matching.bias_correction import correct_range_bias
-from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.predicted_motion import motion_model
 from ..preprocessing.preprocessor import ProcessedScan
 from ..recognition.join_search import JoinSearch
@@ -40,10 +37,6 @@ from .tracking_checkpoint import Anchor, TrackingCheckpoint
 # Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
 # reaches; not measured.
 RELOCALISED_RADIUS = 12.0
-
-# Metres, metres, radians: standard deviations of a pose that a user sets, for example with the mouse.
-# Origin: chosen, those that RViz states, a little wider in heading.
-INITIAL_POSE_SIGMAS = np.array([0.5, 0.5, np.radians(20.0)])
 
 
 class SlamState:
@@ -210,45 +203,6 @@ class SlamState:
         """Keyframes in the distance field, whose pose relative to the robot is well known; None for all of the map."""
         return None if self.frozen else self.local_field.inserted
 
-    def place(self, pose: se2.Pose, scan: ProcessedScan) -> bool:
-        """Set the base's pose in the map, roughly known, and improve it by matching a scan.
-
-        Returns False if the scan does not fit near it; the state must not be used any more then.
-        """
-        keyframe, relative = _relative_to_nearest(self.mapper.keyframe_poses, pose)
-        covariance = np.diag(INITIAL_POSE_SIGMAS**2)
-        self.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
-        self.local_field.begin_part()
-        self.update_local_field()
-        self.move_to(pose, scan.odometry)
-        target = MatchTarget(self.local_map, self.local_field.field, self.mapper.roughness.variance)
-        features = correct_range_bias(scan.features, self.mapper.graph.range_bias.metres)
-        match = target.match(features, [Prediction(pose, np.linalg.inv(covariance))], exhaustive=True)
-        if match.known < MIN_KNOWN_POINTS or not match.plausible:
-            return False
-        found = match.points.pose
-        relative = se2.between(self.mapper.keyframe_poses[keyframe], found)
-        self.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
-        self.move_to(found, scan.odometry)
-        return True
-
-    def relocalise(self, joined: SlamState, odometry: se2.Pose) -> None:
-        """Continue where the robot is in a copy of this state, in which it has mapped on and its map was joined.
-
-        Its scans are added to the trajectory, unless the robot was carried and has not been recognised between them and
-        now. `odometry` is the present pose of odometry.
-        """
-        count = self.mapper.keyframe_count
-        old_poses, poses = joined.mapper.keyframe_poses[:count], joined.mapper.keyframe_poses
-        known = joined.mapper.landmarks.parts.reachable(np.arange(len(poses)))
-        rows = joined.trajectory.relative_poses()
-        for stamp, keyframe, relative, information in list(zip(*rows, strict=True))[len(self.trajectory) :]:
-            if known[keyframe]:
-                nearest, pose = _relative_to_nearest(old_poses, se2.compose(poses[keyframe], relative))
-                self.trajectory.add(float(stamp), nearest, pose, information)
-        nearest, pose = _relative_to_nearest(old_poses, joined.pose)
-        self.move_to(se2.compose(self.mapper.keyframe_poses[nearest], pose), odometry)
-
     def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool, expected: Expectation = LOST) -> None:
         """Continue at a pose in a new part of the map, as the place in the map is not known.
 
@@ -329,9 +283,3 @@ class SlamState:
         centre = self.pose if self.anchor is None or self.kidnapped else self.anchor_pose
         reach = scans[count - 1].features.segments.reach()
         self.local_map = self.local_map_at(centre, LOCAL_MAP_MARGIN + reach)
-
-
-def _relative_to_nearest(poses: Floats, pose: se2.Pose) -> tuple[int, se2.Pose]:
-    """Return which of some poses (n, 3) is nearest to another one, and that one in its frame."""
-    nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
-    return nearest, se2.between(poses[nearest], pose)
