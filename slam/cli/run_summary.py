@@ -165,7 +165,7 @@ def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
     if searched := searched_at_start(summary):
         rows.append(("start", f"recognised in the map after {duration(searched)}"))
         spans = spans[1:]
-    if spans and slam["health"]["lost"]:  # a robot that starts at a given pose is placed by the first scan
+    if spans and slam["health"]["lost"]:  # at a given pose, the first scan places the robot
         times = ", ".join(
             f"at {elapsed(begin - start)} for {duration(end - begin)}" for begin, end in spans[:SHOWN_SPANS]
         )

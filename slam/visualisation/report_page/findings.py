@@ -98,7 +98,7 @@ def reason_without_walls(summary: dict[str, Any]) -> str:
 def searched_at_start(summary: dict[str, Any]) -> float:
     """Return the seconds until the start of a drive was recognised in a map; 0.0 if it was not, or was known."""
     slam = summary.get("slam") or {}
-    if not slam.get("start_recognised"):
+    if not slam.get("start_recognised") or not slam["health"]["lost"]:  # at a given pose, the first scan places it
         return 0.0
     begin, end = slam["lost"][0]
     return float(end - begin)

@@ -115,6 +115,7 @@ def test_a_right_initial_pose_is_no_warning(wclm: Any, folder: Path, session: Pa
     result = wclm("run", folder / "first.mcap", *options, "--start", "0,0,0")
     assert result.exit_code == 0, result.output
     assert "warning" not in result.stdout
+    assert "recognised" not in result.stdout
     assert "LOST" not in result.stdout
     wrong = wclm("run", folder / "first.mcap", *options, "--overwrite", "--start", "5,5,2")
     assert "warning    the pose is lost" in wrong.output
