@@ -88,7 +88,7 @@ def path_length(finished: Finished, first: float, last: float) -> float:
 
 def format_summary(result: RunResult, out: Path) -> list[str]:
     """Return the summary as lines of text; `out` is the output directory."""
-    from ..visualisation.report_page.findings import reason_without_walls, warning_lines
+    from ..visualisation.report_page.findings import health_lines, reason_without_walls, warning_lines
 
     summary = result.summary
     walls, corners, keyframes = (counted(summary[f"{noun}s"], noun) for noun in ("wall", "corner", "keyframe"))
@@ -112,7 +112,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
     if losses := log_losses_text(summary.get("review") or {}):
         rows.append(("log", losses))
     rows += [("warning", text) for text in [*(summary.get("gaps") or ()), *(summary.get("doubts") or ())]]
-    rows += [("warning", text) for text in (reason_without_walls(summary),) if text]
+    rows += [("warning", text) for text in (reason_without_walls(summary), *health_lines(summary)) if text]
     warnings = warning_lines(summary["warnings"], summary["start"])
     rows += [("warning", line) for line in warnings[:SHOWN_WARNINGS]]
     if (more := len(warnings) - SHOWN_WARNINGS) > 0:

@@ -104,6 +104,13 @@ def searched_at_start(summary: dict[str, Any]) -> float:
     return float(end - begin)
 
 
+def health_lines(summary: dict[str, Any]) -> list[str]:
+    """Return what the counts and the estimated errors of odometry say against the map, as lines of text."""
+    slam = summary.get("slam") or {}
+    found = [*_health_findings(slam.get("health") or {}), *_odometry_findings(slam.get("odometry") or {})]
+    return [f"{finding.text[:1].lower()}{finding.text[1:].removesuffix('.')}" for finding in found if finding.grave]
+
+
 def _wall_findings(summary: dict[str, Any]) -> Iterator[Finding]:
     if text := reason_without_walls(summary):
         yield Finding(f"{text[:1].upper()}{text[1:]}", "The path is from odometry and loose points.", grave=True)

@@ -82,15 +82,27 @@ def test_a_carried_robot_is_reported() -> None:
         assert np.isfinite(event.position).all()
 
 
-def lines(tmp_path: Path, count: int) -> list[str]:
-    """Return the lines of the terminal that name suspects."""
-    suspects = [{"sentence": f"at 0:0{k}: the map"} for k in range(count)]
-    summary = {
+def summary_with(**slam: Any) -> dict[str, Any]:
+    """Return a summary of a run, with some entries under `slam`."""
+    return {
         "recording": "a.clf", "scans": 9, "start": 0.0, "duration": 9.0, "path_length": 9.0, "walls": 4, "corners": 4,
         "keyframes": 3, "slam_seconds": 1.0, "wall_seconds": 1.0, "real_time_factor": 9.0, "peak_memory_mib": 9.0,
-        "truth": None, "skipped": {"messages": 0}, "warnings": [], "slam": {"suspects": suspects},
+        "truth": None, "skipped": {"messages": 0}, "warnings": [], "slam": slam,
     }  # fmt: skip
+
+
+def lines(tmp_path: Path, count: int) -> list[str]:
+    """Return the lines of the terminal that name suspects."""
+    summary = summary_with(suspects=[{"sentence": f"at 0:0{k}: the map"} for k in range(count)])
     return [line for line in format_summary(RunResult(summary, False), tmp_path) if "suspect" in line.lower()]
+
+
+def test_the_terminal_names_what_the_report_page_calls_grave(tmp_path: Path) -> None:
+    """A map that few scans agree with looks like any other in the terminal."""
+    text = "\n".join(format_summary(RunResult(summary_with(health={"overlap_ratio_median": 0.71}), False), tmp_path))
+    assert "  warning    the overlap ratio of scans with the map is only 71 %\n" in text
+    text = "\n".join(format_summary(RunResult(summary_with(health={"overlap_ratio_median": 0.97}), False), tmp_path))
+    assert "warning" not in text
 
 
 def test_the_terminal_shows_the_worst_suspects(tmp_path: Path) -> None:
