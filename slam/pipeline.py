@@ -334,7 +334,8 @@ class Slam:
 
     def _summary(self, end: float) -> dict[str, object]:
         """Return the summary of the run up to the stamp `end` as plain data."""
-        return run_summary(self._preprocessor, self.slam_state, self._statistics, end) | self._motions.summary()
+        summary = run_summary(self._preprocessor, self.slam_state, self._statistics, end) | self._motions.summary()
+        return {"extends_map": self._extends_map} | summary
 
     def _process_queue(self, count: int = sys.maxsize) -> None:
         """Process at most `count` queued scans without odometry to cover them."""

@@ -47,6 +47,8 @@ def loops_text(slam: dict[str, Any]) -> str:
 
 def no_loops_text(slam: dict[str, Any]) -> str:
     """Return why no loop was closed or rejected, as far as the summary of the run states it, as sentences."""
+    if slam.get("extends_map") is False:
+        return "The robot was only localised in the map, which stayed as it is: no loops were searched for."
     returns = slam.get("returns")
     if returns is None:
         return "No loop was closed or rejected."
