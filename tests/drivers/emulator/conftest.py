@@ -1,7 +1,12 @@
-"""An emulator with simulated time, with its ports opened like by any program."""
+"""An emulator with simulated time, with its ports opened like by any program.
+
+The system passes bytes through a pseudo terminal when it has time: on a busy computer after many steps of the
+emulator. The bench waits for them, so that in simulated time all bytes arrive in the step in which they were sent.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -19,6 +24,8 @@ from drivers.simulation import LidarModel, WheelModel
 from drivers.transport import SerialPort
 
 EXACT = LidarModel(sigma_range=0.0, sigma_bearing=0.0, dropouts=0.0, mixed=0.0)
+PATIENCE = 60.0
+"""Time that the system may take to pass bytes on, seconds."""
 PERFECT = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
 
 
@@ -30,13 +37,28 @@ class Host:
         self.port = SerialPort(str(link.port.path), baud)
         self.data = b""
         self._chunks: list[tuple[int, float]] = []
+        self._read = link.counts.sent
 
     def read(self) -> bytes:
+        """Read all bytes that the device has sent."""
         data = self.port.read(0.0).data
+        while self._read + len(data) < self.link.counts.sent:
+            more = self.port.read(PATIENCE).data
+            assert more, "bytes were lost in the pseudo terminal"
+            data += more
+        self._read += len(data)
         if data:
             self.data += data
             self._chunks.append((len(self.data), self.bench.time))
         return data
+
+    def write(self, data: bytes) -> None:
+        """Send bytes, which the device then has."""
+        received, deadline = self.link.counts.received + len(data), time.monotonic() + PATIENCE
+        self.port.write(data)
+        while self.link.counts.received < received:
+            assert time.monotonic() < deadline, "bytes were lost in the pseudo terminal"
+            self.link.step(self.bench.time)
 
     def forget(self) -> None:
         self.data, self._chunks = b"", []
@@ -48,7 +70,7 @@ class Host:
 
     def ask(self, request: Request, answer: ResponseReader, patience: float = 0.3) -> bytes | None:
         """Send a request to an RPLIDAR; return the payload of its response, None if there is none."""
-        self.port.write(request.packet())
+        self.write(request.packet())
         until = self.bench.time + patience
         while self.bench.time < until:
             self.bench.tick()

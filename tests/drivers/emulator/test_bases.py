@@ -38,7 +38,7 @@ def started(bench: Bench, name: str) -> tuple[Host, WheelBase]:
     host = bench.open("base", protocol.baud)
     bench.go(ARDUINO_BOOT_DURATION + 0.1)
     host.forget()
-    host.port.write(protocol.start() + protocol.enable_driving())
+    host.write(protocol.start() + protocol.enable_driving())
     return host, protocol
 
 
@@ -49,7 +49,7 @@ def dead_reckon(bench: Bench, host: Host, protocol: WheelBase, seconds: float) -
     until = bench.time + seconds
     while bench.time < until:
         if protocol.poll_period is not None:
-            host.port.write(protocol.poll())
+            host.write(protocol.poll())
         bench.go(0.01)
         for reading in protocol.feed(host.data):
             message = odometer.add(reading, bench.time)
@@ -81,7 +81,7 @@ def test_odometry_follows_the_driven_path(bench: MakeBench, name: str) -> None:
 def test_wheels_have_the_reported_biases(bench: MakeBench) -> None:
     robot = bench(base="create2", seed=3, drive="base", wheels=WheelModel(slip=0.0, encoder=0.0))
     host, protocol = started(robot, "create2")
-    host.port.write(protocol.drive(Velocity(0.3, 0.0)))
+    host.write(protocol.drive(Velocity(0.3, 0.0)))
     _, poses, _ = dead_reckon(robot, host, protocol, 5.0)
     biases: Any = robot.emulator.base.report()["biases"]
     travelled, _ = robot.emulator.motion.travelled(robot.time)
@@ -96,13 +96,13 @@ def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
     host, protocol = started(robot, name)
     start = robot.emulator.motion.poses(np.array([robot.time]))[0]
     for _ in range(10):
-        host.port.write(protocol.drive(Velocity(0.2, 0.5)))
+        host.write(protocol.drive(Velocity(0.2, 0.5)))
         robot.go(0.2)
     travelled, turned = robot.emulator.motion.travelled(robot.time)
     assert travelled == pytest.approx(0.2 * (2.0 - 0.2 / 0.6 / 2), abs=0.02)  # acceleration of 0.6 m/s^2
     assert turned == pytest.approx(0.5 * (2.0 - 0.5 / 4.0 / 2), abs=0.03)
     assert np.hypot(*between(start, robot.emulator.motion.poses(np.array([robot.time]))[0])[:2]) > 0.3
-    host.port.write(protocol.drive(Velocity(0.0, 0.0)) + protocol.end())
+    host.write(protocol.drive(Velocity(0.0, 0.0)) + protocol.end())
     robot.go(1.0)
     at_rest = robot.emulator.motion.travelled(robot.time)
     robot.go(0.5)
@@ -112,7 +112,7 @@ def test_velocities_are_driven(bench: MakeBench, name: str) -> None:
 def test_a_base_without_new_commands_stops(bench: MakeBench) -> None:
     robot = bench(base="wheels", drive="base")
     host, protocol = started(robot, "wheels")
-    host.port.write(protocol.drive(Velocity(0.2, 0.0)))
+    host.write(protocol.drive(Velocity(0.2, 0.0)))
     robot.go(2.0)
     assert 0.03 < robot.emulator.motion.travelled(robot.time)[0] < 0.15
 
@@ -120,12 +120,12 @@ def test_a_base_without_new_commands_stops(bench: MakeBench) -> None:
 def test_walls_stop_the_robot(bench: MakeBench) -> None:
     robot = bench(base="create2", drive="base")
     host, protocol = started(robot, "create2")
-    host.port.write(protocol.drive(Velocity(0.5, 0.0)))
+    host.write(protocol.drive(Velocity(0.5, 0.0)))
     robot.step = 0.02
     robot.go(30.0)
     x, y, _ = robot.emulator.motion.poses(np.array([robot.time]))[0]
     assert clearance(x, y, robot.emulator.motion.world) == pytest.approx(ROBOT_RADIUS, abs=0.02)
-    host.port.write(protocol.drive(Velocity(-0.3, 0.0)))
+    host.write(protocol.drive(Velocity(-0.3, 0.0)))
     robot.go(1.0)
     assert robot.emulator.motion.travelled(robot.time)[0] > 0.5
     x, y, _ = robot.emulator.motion.poses(np.array([robot.time]))[0]
@@ -137,10 +137,10 @@ def test_a_create_is_silent_until_it_is_started_and_after_it_is_stopped(bench: M
     host = robot.open("base")
     robot.go(0.5)
     assert host.data == b""
-    host.port.write(Create2().start())
+    host.write(Create2().start())
     robot.go(0.5)
     assert len(host.data) == pytest.approx(0.5 / 0.015 * 9, abs=18)
-    host.port.write(Create2().end())
+    host.write(Create2().end())
     robot.go(0.1)
     host.forget()
     robot.go(0.5)
@@ -154,10 +154,10 @@ def test_opening_the_port_restarts_an_arduino(bench: MakeBench, name: str) -> No
     protocol = PROTOCOLS[name]()
     host = robot.open("base", protocol.baud)
     robot.go(ARDUINO_BOOT_DURATION - 0.1)
-    host.port.write(protocol.poll())
+    host.write(protocol.poll())
     assert host.data == b""
     robot.go(0.2)
-    host.port.write(protocol.poll())
+    host.write(protocol.poll())
     robot.go(0.1)
     first = protocol.feed(host.data)[0]
     assert 0 <= min(first.left, first.right) <= max(first.left, first.right) < 1.7 * 0.5 * 5000

@@ -198,7 +198,7 @@ def test_unplugged_devices_return(bench: MakeBench) -> None:
     events = (FaultEvent("unplug", "lidar", 3.0, 1.0), FaultEvent("unplug", "base", 3.0, 1.0))
     robot = bench(events=events)
     lidar, base = scanning(robot), robot.open("base")
-    base.port.write(Create2().start())
+    base.write(Create2().start())
     robot.go(2.9 - robot.time)
     robot.hosts.clear()
     robot.go(0.2)

@@ -48,13 +48,13 @@ def started(bench: Bench, lidar: str, mode: str) -> tuple[Host, Decoder, float]:
         return bench.open("lidar", model.baud), ld06.Ld06Decoder(model), 0.0006
     if lidar == "scip":
         host = bench.open("lidar")
-        host.port.write(scip.LASER_ON + MEASURE.packet())
+        host.write(scip.LASER_ON + MEASURE.packet())
         return host, scip_scan.ScipDecoder(URG, MEASURE), 0.0006
     kind = RPLIDAR_VARIANTS[lidar]
     chosen = kind.modes.choose(mode)
     host = bench.open("lidar", kind.baud)
     bench.go(0.6)
-    host.port.write(requests.set_motor_pwm(660).packet())
+    host.write(requests.set_motor_pwm(660).packet())
     start = requests.HQ_SCAN if chosen.response_type == ResponseType.HQ else chosen.start()
     reader = ResponseReader(chosen.response_type, multiple=True)
     assert host.ask(start, reader) == b""
@@ -126,7 +126,7 @@ def test_an_rplidar_turns_within_its_limits(bench: MakeBench, wanted: int, turns
     robot = bench(lidar="rplidar-s1", drive="base")
     robot.step = 0.002  # the stamps of scans are only as accurate
     host, decoder, _ = started(robot, "rplidar-s1", "DenseBoost")
-    host.port.write(requests.set_motor_speed(wanted).packet())
+    host.write(requests.set_motor_speed(wanted).packet())
     robot.go(2.5)
     scans = scans_of(*measured(host, decoder))
     assert np.median(np.diff([scan.stamp for scan in scans])[-10:]) == pytest.approx(1.0 / turns, rel=0.02)
@@ -150,8 +150,8 @@ def test_a_utm_reports_intensities_and_echoes(bench: MakeBench, echoes: bool) ->
     robot = bench(lidar="scip-utm")
     host = robot.open("lidar")
     request = scip.MeasureRequest(UTM.first, UTM.last, intensity=True, echoes=echoes)
-    host.port.write(scip.LASER_ON + request.packet())
-    robot.go(2.5)  # a pseudo-terminal may deliver the last scan one step late
+    host.write(scip.LASER_ON + request.packet())
+    robot.go(2.5)
     measurements, stamps = measured(host, scip_scan.ScipDecoder(UTM, request))
     scans = scans_of(measurements, stamps, whole=True)
     assert np.diff([scan.stamp for scan in scans]).mean() == pytest.approx(0.025, rel=2e-3)
@@ -170,7 +170,7 @@ def test_a_urg_has_neither_intensities_nor_echoes(bench: MakeBench) -> None:
     host, replies = robot.open("lidar"), scip.ReplyParser()
     for options in ({"intensity": True}, {"echoes": True}):
         host.forget()
-        host.port.write(scip.MeasureRequest(URG.first, URG.last, **options).packet())
+        host.write(scip.MeasureRequest(URG.first, URG.last, **options).packet())
         robot.go(0.35)
         assert [reply.status for reply in replies.feed(host.data)] == ["0E"]
 
@@ -246,12 +246,12 @@ def test_stop_ends_a_scan_and_reset_sends_the_banner(bench: MakeBench) -> None:
     assert (
         host.ask(requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE)) is None
     )  # no response while scanning
-    host.port.write(requests.STOP.packet())
+    host.write(requests.STOP.packet())
     robot.go(0.1)
     host.forget()
     robot.go(0.3)
     assert host.data == b""
-    host.port.write(requests.RESET.packet() + requests.GET_INFO.packet())
+    host.write(requests.RESET.packet() + requests.GET_INFO.packet())
     robot.go(1.0)
     assert host.data.startswith(b"RP LIDAR System")  # and nothing more: the early request was ignored
     assert host.data.count(b"\n") == 3
@@ -267,11 +267,11 @@ def test_an_a2_needs_pwm_to_turn(bench: MakeBench) -> None:
     host.forget()
     robot.go(1.5)
     assert host.data == b""  # the head does not turn
-    host.port.write(requests.set_motor_pwm(660).packet())
+    host.write(requests.set_motor_pwm(660).packet())
     robot.go(1.5)
     turning = len(host.data)
     assert turning > 4000
-    host.port.write(requests.set_motor_pwm(0).packet())
+    host.write(requests.set_motor_pwm(0).packet())
     robot.go(0.5)
     assert len(host.data) < turning + 100
 
@@ -286,7 +286,7 @@ def test_an_internal_error_lasts_until_a_reset(bench: MakeBench) -> None:
         payload = host.ask(requests.GET_HEALTH, ResponseReader(ResponseType.HEALTH, Health.SIZE))
         assert payload is not None
         assert Health.parse(payload).status == status
-        host.port.write(requests.RESET.packet())
+        host.write(requests.RESET.packet())
         robot.go(0.6)
 
 
@@ -297,7 +297,7 @@ def test_scip_replies_to_all_commands(bench: MakeBench) -> None:
 
     def ask(command: bytes) -> list[scip.Reply]:
         host.forget()
-        host.port.write(command)
+        host.write(command)
         robot.go(0.35)
         return replies.feed(host.data)
 
