@@ -179,5 +179,5 @@ def to_millimetres(ranges: Floats, largest: int) -> Integers:
     """Convert metres to whole millimetres; 0 if there is no return or the range exceeds `largest`, the format's
     maximum.
     """
-    stored = np.round(np.nan_to_num(ranges, nan=0.0, posinf=0.0, neginf=0.0) * 1e3)
+    stored = np.round(np.where(np.isfinite(ranges), ranges, 0.0) * 1e3)
     return np.where((stored > 0) & (stored <= largest), stored, 0).astype(np.int64)
