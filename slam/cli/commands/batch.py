@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..compilation import compile_all
+from ..compilation import compile_for_recording
 from ..console import EXIT_INTERRUPTED, print_message
 from ..options import ConfigOption, PlotOption, RefineOption, ReviewOption, SetOption
 from ..output_files import make_directory
@@ -111,5 +111,5 @@ def _cluster(scheduler: str | None, count: int) -> AbstractContextManager[Client
 
     if scheduler is not None:
         return connect_to_workers(scheduler)
-    compile_all()  # once, here: the workers load the compiled functions from disk
+    compile_for_recording()  # once, here: the workers load the compiled functions from disk
     return start_local_workers(count)
