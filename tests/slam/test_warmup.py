@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from numba.core.registry import CPUDispatcher
 import slam
-from drivers.simulation import Simulation
+from drivers.simulation import LIDAR_MODELS, Simulation
 from slam.config import Config, config_to_toml
 from slam.io.sessions import read_session, write_session
 from tests.slam.estimation.test_map_parts import elsewhere
@@ -33,7 +33,7 @@ before = compiled()
 slam.warm_up()
 again = compiled()
 mapper = slam.Slam()
-for message in Simulation("office", duration=12.0):
+for message in Simulation("office", duration=12.0, lidar=LIDAR_MODELS["short"]):
     mapper.add(message)
 mapper.finish()
 mapped = compiled()

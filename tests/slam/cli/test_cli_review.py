@@ -199,7 +199,7 @@ def test_the_log_of_a_killed_run_is_found_and_opens(wclm: Any, tmp_path: Path) -
     out = tmp_path / "office"
     with running("run", "sim:office?lidar=short", "--out", out) as process:
         deadline = time.monotonic() + 200  # includes compilation
-        while not any(log.stat().st_size > 1_000_000 for log in tmp_path.glob(f".office-*/{REVIEW}")):
+        while not any(log.stat().st_size > 500_000 for log in tmp_path.glob(f".office-*/{REVIEW}")):
             assert process.poll() is None, process.communicate()
             assert time.monotonic() < deadline
             time.sleep(0.05)

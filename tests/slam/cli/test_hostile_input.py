@@ -107,7 +107,7 @@ TAGS = (
     "image: !!python/object/apply:os.system ['touch executed']\nresolution: 0.05\norigin: [0, 0, 0]\n",
     "image: map.pgm\nresolution: !!python/name:os.system\norigin: [0, 0, 0]\n",
 )
-TEXTS = ("$(touch executed)", "; touch executed", "`touch executed`", "{__import__('os').system('touch executed')}")
+TEXTS = ("$(touch executed); touch executed `touch executed`", "{__import__('os').system('touch executed')}")
 COMMANDS = (
     ["run", "drive.mcap", "--continue", "map", "--no-review", "--out", "result"],
     ["run", "drive.mcap", "--localize", "map", "--no-review", "--out", "result"],
