@@ -25,7 +25,8 @@ from ..replacements import replaced
 
 DURATION = 8.0
 """Duration of simulated drives, seconds; they turn enough to calibrate from."""
-FEW_BEAMS = simulation.LidarModel(beams=160)
+FEW_BEAMS = simulation.LidarModel(beams=160, rate=5.0)
+"""Lidar of simulated drives: the robot moves by 0.2 m in a revolution."""
 WORLD = """\
 title = "a room to calibrate in"
 speed = 1.2

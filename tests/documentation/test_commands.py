@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from drivers.devices.device_spec import parse_devices
 from slam.cli.app import app
 
 from .blocks import NEEDS, PAGES, ROOT, Block, blocks, mentions
-from .conftest import DURATION, FEW_BEAMS, HALL, Reader, fill, simulations_of
+from .conftest import DURATION, HALL, Reader, fill, simulations_of
 
 PLACEHOLDERS = {"FILE", "FORMAT", "WORLD", "SESSION", "DIR", "RECORDING", "GRAPH"}
 OTHER_PROGRAMS = {
@@ -31,14 +30,12 @@ OTHER_PROGRAMS = {
 """Other commands, by their names without a folder; those of `make` that runs here must be targets."""
 SHORTER = {"--seeds": "1", "--runs": "2", "--count": "5", "--laps": "1"}
 """Smaller values for options that determine the duration of benchmarks."""
-EARLIER = {"--scan": "50"}
+EARLIER = {"--scan": "30"}
 """Smaller values for options that presuppose a longer drive."""
 OF_SEVERAL_DRIVES = ("docs/changes.md", "docs/merge.md")
 """Pages with blocks that need recordings of two drives through one building."""
 LONGER = 18.0
 """Duration of drives that are to be recognised in maps of each other, seconds."""
-SLOW_LIDAR = replace(FEW_BEAMS, rate=5.0)
-"""Lidar of these drives: the robot moves by 0.2 m in a revolution."""
 command_line: Any = cache(get_command)
 MENTIONS = mentions()
 WITH_BLOCKS = sorted({block.page for block in blocks()})
@@ -134,7 +131,7 @@ def test_commands_of_the_readme_with_several_drives_run(tmp_path: Path, monkeypa
     """Run them with drives through one hall; `wclm batch`, which starts processes, has its own tests."""
     monkeypatch.chdir(tmp_path)
     (block,) = (block for block in blocks() if block.page == "README.md" and block.needs == "drives")
-    with simulations_of(LONGER, SLOW_LIDAR):
+    with simulations_of(LONGER):
         fill(tmp_path, HALL)
         reader = Reader(tmp_path)
         for line in (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -11,12 +12,13 @@ from drivers.simulation.world import Box
 from slam.evaluation.benchmarks.lookalike import simulation_of
 
 
-def limit_drives(monkeypatch: pytest.MonkeyPatch, seconds: float) -> None:
-    """Let drives in simulated worlds end after some seconds."""
+def limit_drives(monkeypatch: pytest.MonkeyPatch, seconds: float, rate: float | None = None) -> None:
+    """Let drives in simulated worlds end after some seconds; with a rate, measure only so many scans per second."""
 
     def limited(*arguments: Any) -> Simulation:
         simulation = simulation_of(*arguments)
         simulation.duration = seconds
+        simulation.lidar = replace(simulation.lidar, rate=rate or simulation.lidar.rate)
         return simulation
 
     monkeypatch.setattr("slam.evaluation.benchmarks.lookalike.simulation_of", limited)

@@ -65,7 +65,7 @@ def error(finished: Finished, messages: list[Message]) -> float:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=2, duration=14.0, lidar=LidarModel(beams=360)))
+    return list(Simulation("office", seed=2, duration=14.0, lidar=LidarModel(beams=360, rate=5.0)))
 
 
 @pytest.mark.parametrize("source", ["wheels", "none"])

@@ -16,7 +16,7 @@ from slam.events import KeyframeAdded, ScanTracked, StateChanged
 from slam.localisation.state import LocalisationStatus
 from slam.pose_extrapolation import ExtrapolatedPose, PoseExtrapolator
 
-WORLD = "sim:office?duration=12"
+WORLD = "sim:office?duration=12&lidar=short"
 
 
 def messages() -> list[Message]:

@@ -43,7 +43,7 @@ def copy_of_run(wclm: Any, mapped: Path, source: str, target: Path) -> Path:
 
 @pytest.fixture
 def session(wclm: Any, mapped: Path, tmp_path: Path) -> Path:
-    return copy_of_run(wclm, mapped, "sim:room?seed=1", tmp_path / "out")
+    return copy_of_run(wclm, mapped, "sim:room?seed=1&lidar=short", tmp_path / "out")
 
 
 @pytest.fixture
@@ -127,7 +127,7 @@ def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, sess
 
 
 def test_tied_walls_become_one_and_another_directory_can_be_written(wclm: Any, mapped: Path, tmp_path: Path) -> None:
-    session = copy_of_run(wclm, mapped, "sim:office?seed=3&duration=20", tmp_path / "out")
+    session = copy_of_run(wclm, mapped, "sim:office?seed=3&duration=20&lidar=short", tmp_path / "out")
     before = (session / MAP).read_bytes()
     walls = read_wall_map(session).walls
     relative = se2.between(walls.frame[:, None], walls.frame[None])

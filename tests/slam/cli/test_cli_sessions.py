@@ -23,7 +23,7 @@ from slam.io.sessions import read_session
 from slam.io.tum import read_tum
 from slam.mapping.convergence import converge
 
-DRIVES = {"first": (1, 0.0, 20.0), "second": (2, 10.0, 22.0)}
+DRIVES = {"first": (1, 0.0, 14.0), "second": (2, 7.0, 16.0)}
 """Seed, start and end time (seconds) of drives through the office, by the name of the recording."""
 
 

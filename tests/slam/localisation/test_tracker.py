@@ -50,7 +50,7 @@ class FailingOdometry:
     """Simulation whose odometry stands still for a while and then continues from there, or catches up (`makes_up`)."""
 
     def __init__(self, begin: float, end: float, *, makes_up: bool) -> None:
-        self.source = Simulation(world="office", seed=1, duration=min(end + 12.0, 36.0), lidar=LidarModel(beams=360))
+        self.source = Simulation(world="office", seed=1, duration=min(end + 12.0, 36.0), lidar=LidarModel(360, 5.0))
         self.begin, self.end, self.makes_up = begin, end, makes_up
 
     def __iter__(self) -> Iterator[Message]:
@@ -103,7 +103,7 @@ class LateOdometry:
 
     def __init__(self, seed: int) -> None:
         world = add_crowd(load_world("office"), 10, np.random.default_rng(seed), 25.0)
-        self._drive, self._seed = Simulation(world, seed, 25.0, LidarModel(360)), seed
+        self._drive, self._seed = Simulation(world, seed, 25.0, LidarModel(360, 5.0)), seed
 
     def __iter__(self) -> Iterator[Message]:
         random, late_until, last = np.random.default_rng(self._seed), 0.0, np.zeros(3)

@@ -32,7 +32,7 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
 
     original = loop_evidence.locate
     monkeypatch.setattr(loop_evidence, "locate", locate)
-    limit_drives(monkeypatch, 130.0)  # the loops are closed after 122 s
+    limit_drives(monkeypatch, 130.0, rate=3.0)  # the loops are closed after 122 s
     run = run_world("large_loop", 46)
     assert run.needed
     assert run.joined

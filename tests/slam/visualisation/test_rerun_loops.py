@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -49,7 +50,7 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
         patch.setattr(closure_monitor, "MAX_ADDED_CONTRADICTION", -1.0)
         patch.setattr(closure_monitor, "CONFIRMING_CHECKS", 1)
         slam = Slam(sinks=[listener, review])
-        lidar, wheels = LIDAR_MODELS["short"], WHEEL_MODELS["bad"]
+        lidar, wheels = replace(LIDAR_MODELS["short"], rate=3.0), WHEEL_MODELS["bad"]
         for message in Simulation("large_loop", seed=0, duration=DURATION, lidar=lidar, wheels=wheels):
             slam.add(message)
         slam.finish()
