@@ -127,6 +127,7 @@ def test_slow_blocks_run(block: Block, tmp_path: Path, monkeypatch: pytest.Monke
         Reader(tmp_path).run(with_values(words, SHORTER))
 
 
+@pytest.mark.slow
 def test_commands_of_the_readme_with_several_drives_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Run them with drives through one hall; `wclm batch`, which starts processes, has its own tests."""
     monkeypatch.chdir(tmp_path)

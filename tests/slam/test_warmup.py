@@ -69,6 +69,7 @@ print(len(first) / len(compiled()), len(both) / len(compiled()))
 """
 
 
+@pytest.mark.slow
 def test_the_processes_of_the_first_compilation_share_the_work() -> None:
     answer = subprocess.run([sys.executable, "-c", COMPILED + PARTS], capture_output=True, text=True, timeout=250)
     assert answer.stderr == ""

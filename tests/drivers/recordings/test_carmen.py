@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -190,14 +191,16 @@ def test_log_without_a_valid_line_is_an_error(tmp_path: Path, content: bytes, re
     assert str(tmp_path) in str(caught.value)
 
 
-@pytest.mark.parametrize(("compression", "compress"), [("gzip", gzip.compress), ("bzip2", bz2.compress)])
+@pytest.mark.parametrize(
+    ("compression", "compress"), [("gzip", gzip.compress), ("bzip2", partial(bz2.compress, compresslevel=1))]
+)
 def test_a_truncated_compressed_log_is_read_up_to_the_truncation(
     tmp_path: Path, compression: str, compress: Callable[[bytes], bytes]
 ) -> None:
-    lines = "".join(odom(1.0 + i, x=np.sin(i)) for i in range(40000))
+    lines = "".join(odom(1.0 + i, x=np.sin(i)) for i in range(8000))  # some blocks
     compressed = compress(lines.encode())
     messages, source = read(tmp_path, compressed[: len(compressed) * 3 // 4])
-    assert 100 < len(messages) < 40000
+    assert 100 < len(messages) < 8000
     assert any(compression in reason for reason in source.report.reasons)
 
 

@@ -81,6 +81,7 @@ def fast_dds_peer(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return program
 
 
+@pytest.mark.slow  # its program is compiled
 @pytest.mark.parametrize("backend", [Backend.DDS], indirect=True)
 def test_fast_dds_gets_the_map_and_is_heard(backend: Backend, fast_dds_peer: Path) -> None:
     exchange(backend, [str(fast_dds_peer), os.environ["ROS_DOMAIN_ID"], str(FIRST)], [f"map {CELLS}"])

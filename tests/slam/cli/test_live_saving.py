@@ -58,56 +58,58 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
         yield robot
 
 
-def test_a_lost_terminal_ends_the_run_with_a_complete_map(tmp_path: Path, robot: Robot, wclm: Any) -> None:
-    out = tmp_path / "a" / "map"
+def test_a_run_is_saved_and_switched_by_commands_and_keys_and_ends_with_its_terminal(
+    tmp_path: Path, robot: Robot, wclm: Any
+) -> None:
+    out, status = tmp_path / "a" / "map", tmp_path / "status.json"
     out.parent.mkdir()
     terminal, inner = pty.openpty()
-    run = LiveRun(robot, out, "--no-serve", stdin=inner, preexec_fn=use_as_terminal)
+    options = ("--no-serve", "--status", str(status))
+    run = LiveRun(robot, out, *options, stdin=inner, preexec_fn=use_as_terminal)
     os.close(inner)
-    wait_for(lambda: wclm("save", out).exit_code == 0, run.process)
-    assert names(out) == SAVED
-    assert run.summary["unfinished"]
-    first = out.stat().st_ino
-    os.write(terminal, b"s")
-    wait_for(lambda: out.exists() and out.stat().st_ino != first, run.process)
+    assert_saved_by_command_and_key(run, terminal, wclm)
+    assert_switched_by_command_and_key(run, terminal, status, wclm)
     os.close(terminal)  # sends SIGHUP, as the end of an SSH session does
-    status, _, err = run.wait()
-    assert (status, "Traceback" in err) == (0, False), err
+    code, _, err = run.wait()
+    assert (code, "Traceback" in err) == (0, False), err
     assert names(out) == RESULTS - {PICTURE}
     assert names(out.parent) == {"map", "stdout", "stderr"}
+    assert names(out / SESSION)
     assert "unfinished" not in run.summary
+    wclm.refuses("mode", out, "mapping", because=["map: no live run is writing it"])
 
 
-def test_the_mode_of_a_live_run_is_switched_by_a_command_and_a_key(tmp_path: Path, robot: Robot, wclm: Any) -> None:
-    out, status = tmp_path / "map", tmp_path / "status.json"
-    terminal, inner = pty.openpty()
+def assert_saved_by_command_and_key(run: LiveRun, terminal: int, wclm: Any) -> None:
+    wait_for(lambda: wclm("save", run.out).exit_code == 0, run.process)
+    assert names(run.out) == SAVED
+    assert run.summary["unfinished"]
+    first = run.out.stat().st_ino
+    os.write(terminal, b"s")
+    wait_for(lambda: run.out.exists() and run.out.stat().st_ino != first, run.process)
+
+
+def assert_switched_by_command_and_key(run: LiveRun, terminal: int, status: Path, wclm: Any) -> None:
+    """The run ends in the localization mode; keyframes are added in the other one only."""
 
     def frozen() -> bool:
         return bool(json.loads(status.read_text())["frozen"])
 
-    options = ("--no-serve", "--no-review", "--status", str(status))
-    run = LiveRun(robot, out, *options, stdin=inner, preexec_fn=use_as_terminal)
-    os.close(inner)
-    wait_for(lambda: wclm("mode", out, "localization").exit_code == 0, run.process)  # there is a map by then
+    def saved_keyframes() -> int:
+        assert wclm("save", run.out).exit_code == 0
+        return int(run.summary["keyframes"])
+
+    assert wclm("mode", run.out, "localization").exit_code == 0
     wait_for(frozen, run.process)
-    assert wclm("mode", out).stdout == f"{out}: localization\n"
-    assert wclm("mode", out, "localization").exit_code == 0
-    assert wclm("save", out).exit_code == 0
-    keyframes = run.summary["keyframes"]
+    assert wclm("mode", run.out).stdout == f"{run.out}: localization\n"
+    assert wclm("mode", run.out, "localization").exit_code == 0
+    keyframes = saved_keyframes()
     time.sleep(2.0)
-    assert wclm("save", out).exit_code == 0
-    assert run.summary["keyframes"] == keyframes
+    assert saved_keyframes() == keyframes
     os.write(terminal, b"l")
     wait_for(lambda: not frozen(), run.process)
-    assert wclm("mode", out).stdout == f"{out}: mapping\n"
-    time.sleep(2.0)
-    assert wclm("mode", out, "localization").exit_code == 0
-    code, _, err = run.end()
-    os.close(terminal)
-    assert (code, "Traceback" in err) == (0, False), err
-    assert run.summary["keyframes"] > keyframes
-    assert names(out / SESSION)
-    wclm.refuses("mode", out, "mapping", because=["map: no live run is writing it"])
+    assert wclm("mode", run.out).stdout == f"{run.out}: mapping\n"
+    wait_for(lambda: saved_keyframes() > keyframes, run.process)
+    assert wclm("mode", run.out, "localization").exit_code == 0
 
 
 @pytest.mark.slow

@@ -6,7 +6,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 
+
+@pytest.mark.slow
 def test_the_command_prints_and_writes_all_figures(wclm: Any, tmp_path: Path) -> None:
     file, folder = tmp_path / "features.json", tmp_path / "pictures"
     result = wclm("bench", "features", "--quick", "--seed", "3", "--json", str(file), "--out", str(folder))

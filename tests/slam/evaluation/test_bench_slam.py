@@ -44,6 +44,7 @@ def test_recordings_are_listed_if_complete(tmp_path: Path) -> None:
     assert all(spec.folder is None and spec.seconds for spec in list_runs(tmp_path, quick=True))
 
 
+@pytest.mark.slow
 def test_the_command_writes_figures_and_a_plot(wclm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slam.evaluation.benchmarks.slam_runs.QUICK_SECONDS", 5.0)
     before = {"name": "room", "error": 0.1, "by_reference": 90.0, "memory": 300.0}

@@ -110,6 +110,7 @@ def test_no_wrong_closure_is_accepted_between_similar_places(seed: int, monkeypa
     assert not result.wrong
 
 
+@pytest.mark.slow
 def test_the_evidence_of_a_drive_rejects_the_next_door(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looks find one of equal doors, 3 m apart. Had they agreed on the next one, the loop would not be closed."""
     decisions: list[tuple[LoopDecision, LoopDecision, LoopDecision]] = []

@@ -40,7 +40,7 @@ def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
     assert np.all(found.sigma < [0.005, 0.005, 0.003, 0.002, 0.02, 0.02])
 
 
-@pytest.mark.parametrize("heading", [3.1, -1.7])
+@pytest.mark.parametrize("heading", [3.1, pytest.param(-1.7, marks=pytest.mark.slow)])
 def test_a_lidar_that_points_backwards_or_aside_is_found(heading: float) -> None:
     mount = np.array([0.15, -0.05, heading])
     simulation = Simulation("office", seed=3, duration=25.0, lidar=ROBOT, mount=mount)

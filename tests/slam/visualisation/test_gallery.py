@@ -48,6 +48,7 @@ def test_corners_are_within_their_ellipses(few_trials: None) -> None:
     assert 0.90 < cloud.within < 0.99
 
 
+@pytest.mark.slow
 def test_pictures_are_made_and_made_small(wclm: Any, few_trials: None, tmp_path: Path) -> None:
     everything = demo_pictures.picture_sets(None)
     only = [pictures for pictures in everything if "fit.png" in pictures.files]
