@@ -111,7 +111,7 @@ def test_a_recording_contains_both(drive: list[Message], result: Finished, recor
     assert not source.report.skipped
     run_input = RecordingInput(source, reopen=str(recording))
     np.testing.assert_array_equal(run(messages, run_input.resolve(TOPICS)).poses, result.poses)
-    assert set(run_input.facts()) == {"timing", "second_timing", "interpretations", "doubts"}
+    assert set(run_input.facts()) == {"gaps", "timing", "second_timing", "interpretations", "doubts"}
 
 
 def test_the_topics_must_be_named(recording: Path) -> None:
