@@ -16,7 +16,7 @@ from drivers import se2
 
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.membership import is_among
-from ..geometry.small_matrices import is_positive_definite
+from ..geometry.small_matrices import inverse, is_positive_definite
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
@@ -25,6 +25,8 @@ from ..mapping.keyframes import KeyframeObservations, WallMerge
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
 from ..matching.bias_correction import correct_range_bias
+from ..odometry.history import wheel_travel
+from ..odometry.systematic_errors import MIN_MOTION_TRAVEL
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_links import link_revisited, undetermined_share
 from .keyframe_motions import motion_since, point_motions_of
@@ -138,15 +140,19 @@ def _add_last_view(state: SlamState, timer: StageTimer) -> KeyframeUpdate | None
     """Make the last tracked scan a keyframe if it tells more than odometry of the motion since the last one.
 
     The robot drives on where nothing is seen. From the last keyframe on, odometry's errors would count up to the next
-    view; from this one on, only those that no scan has corrected.
+    view; from this one on, only those that no scan has corrected. A robot that has not moved since the last keyframe
+    would only see the same again.
     """
     view, state.last_view = state.last_view, None
-    if view is None or state.frozen:
+    if view is None or state.anchor is None or state.frozen:
         return None
-    tracking = view[1]
-    if is_positive_definite(tracking.predicted.information - tracking.registration.total_information):
+    scan, tracking = view
+    motion = state.odometry_model.correct(se2.between(state.anchor.odometry, scan.odometry))
+    of_odometry = np.asarray(inverse(state.odometry_model.covariance(motion)))
+    more_certain = is_positive_definite(of_odometry - tracking.registration.total_information)
+    if more_certain or wheel_travel(motion) < MIN_MOTION_TRAVEL:
         return None
-    return _add_view(state, *view, timer)
+    return _add_view(state, scan, tracking, timer)
 
 
 def _add_view(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:

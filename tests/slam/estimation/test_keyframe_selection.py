@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.messages import Message, Odometry
+from drivers.messages import Message, Odometry, Scan
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulation, WheelModel, World, load_world
 from slam import Slam
 from slam.config import Config, MappingConfig, OdometryConfig, config_to_toml
@@ -109,3 +109,19 @@ def test_the_last_view_before_nothing_is_seen_is_a_keyframe() -> None:
     before, last = slam.finish().keyframes[-2:]
     assert last[0] > OPEN
     assert abs(last[2]) < 0.04 < 0.5 * VEER * (last[0] - before[0])
+
+
+def test_a_robot_that_stands_where_scans_come_and_go_adds_no_keyframes() -> None:
+    slam = Slam()
+    messages = [message for message in leaving_a_room() if message.stamp < 8.5]
+    for message in messages:
+        slam.add(message)
+    before = slam.slam_state.mapper.keyframe_count
+    scan = next(message for message in reversed(messages) if isinstance(message, Scan))
+    last = next(message for message in reversed(messages) if isinstance(message, Odometry))
+    empty = np.full_like(scan.ranges, np.inf)
+    for k in range(1, 80):
+        stamp = scan.stamp + 0.1 * k
+        slam.add(replace(scan, stamp=stamp, ranges=empty if k % 2 else scan.ranges))
+        slam.add(replace(last, stamp=stamp + 0.1))
+    assert slam.slam_state.mapper.keyframe_count <= before + 1
