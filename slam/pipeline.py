@@ -107,8 +107,10 @@ class Slam:
         """Add the next Scan, Odometry, YawRate or InitialPose; GroundTruth is only passed on to the sinks.
 
         A scan is processed once odometry covers its sweep. Scans must come in the order of their stamps, and odometry
-        too; a scan may come after later odometry.
+        too; a scan may come after later odometry. Raises SlamError after `finish`.
         """
+        if self._session is not None:
+            raise SlamError("the run has ended, finish() was called: continue its session in another one")
         message = delay_odometry(message, self.config.lidar.delay or 0.0)
         message = on_clock_of_first(message, self.config.second_lidar_delay)
         if isinstance(message, GroundTruth):

@@ -107,6 +107,15 @@ def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float
     assert (finished.walls.high > finished.walls.low).all()
 
 
+def test_a_finished_run_takes_no_more_messages(drive: list[Message]) -> None:
+    slam = Slam()
+    for message in drive[: len(drive) // 4]:
+        slam.add(message)
+    slam.finish()
+    with pytest.raises(SlamError, match="the run has ended"):
+        slam.add(drive[-1])
+
+
 def test_a_room_has_its_walls_and_corners(drive_result: Finished) -> None:
     length = drive_result.walls.high - drive_result.walls.low
     long = np.sort(length[length > 3.5])
