@@ -255,11 +255,23 @@ class LoopAgreement:
         One that has converged to the estimate is given up if the look agrees with that: nothing has to be corrected.
         """
         has_returned = self._returns[-1:] == [look.travelled]
+        if not has_returned:
+            self._return_support(look)
         kept = [self._estimate] if self._estimate.support or has_returned else []
         for hypothesis in sorted(self._hypotheses, key=lambda h: -len(h.support)):
             if all(differ(look, hypothesis.motion, other.motion) for other in kept):
                 kept.append(hypothesis)
         self._hypotheses = [hypothesis for hypothesis in kept if hypothesis is not self._estimate]
+
+    def _return_support(self, look: Look) -> None:
+        """Take the support from the estimate if its match has converged to a motion that more looks support already.
+
+        It would count from this look on only, and the earlier looks would be lost with the other hypothesis.
+        """
+        count = len(self._estimate.support)
+        equal = [h for h in self._hypotheses if count and not differ(look, h.motion, self._estimate.motion)]
+        if any(len(h.support) > count for h in equal):
+            self._estimate = LoopHypothesis(np.zeros(3), contradictions=self._estimate.contradictions)
 
     @property
     def _all_hypotheses(self) -> list[LoopHypothesis]:

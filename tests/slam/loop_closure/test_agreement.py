@@ -14,6 +14,7 @@ from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT, SPAN_DEVIATIONS
 from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.look import Look, Submaps
+from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
 from slam.loop_closure.submap_search import SUBMAP_LENGTH
@@ -216,6 +217,21 @@ def matches_along_a_hall(state: StubMap, shifts: list[float]) -> tuple[Look, lis
         for k, shift in zip(range(80, 120, 8), shifts, strict=True)
     ]
     return Look(state, local_field, Submaps()), matches  # type: ignore[arg-type]
+
+
+def test_looks_that_agree_are_not_lost_if_the_match_at_the_estimate_converges_to_their_place() -> None:
+    """The first match that starts at the estimate and gets there would count as the first look of all."""
+    look, matches = matches_along_a_hall(StubMap(np.diag(SIGMAS**2)), [0.0] * 5)
+    agreement, motion = LoopAgreement(), np.array([0.6, 0.2, 0.0])
+    estimate = LoopHypothesis(motion, matches[-1:], [match.travelled for match in matches[:-1]])
+    agreement.restore(
+        LoopAgreementState(estimate=estimate, hypotheses=(LoopHypothesis(motion, matches),)), LocalField()
+    )
+    agreement._merge_equal(look)
+    (hypothesis,) = agreement.state.hypotheses
+    assert hypothesis.support == matches
+    assert not agreement.state.estimate.support
+    assert len(agreement.state.estimate.contradictions) == len(matches) - 1
 
 
 def test_looks_that_contradict_the_others_do_not_count() -> None:
