@@ -264,13 +264,14 @@ class LoopAgreement:
         self._hypotheses = [hypothesis for hypothesis in kept if hypothesis is not self._estimate]
 
     def _return_support(self, look: Look) -> None:
-        """Take the support from the estimate if its match has converged to a motion that more looks support already.
+        """Take the support from the estimate if its match has reached another place, which more looks support already.
 
         It would count from this look on only, and the earlier looks would be lost with the other hypothesis.
         """
-        count = len(self._estimate.support)
-        equal = [h for h in self._hypotheses if count and not differ(look, h.motion, self._estimate.motion)]
-        if any(len(h.support) > count for h in equal):
+        count, motion = len(self._estimate.support), self._estimate.motion
+        if not count or not differ(look, motion, np.zeros(3)):
+            return
+        if any(len(h.support) > count and not differ(look, h.motion, motion) for h in self._hypotheses):
             self._estimate = LoopHypothesis(np.zeros(3), contradictions=self._estimate.contradictions)
 
     @property
