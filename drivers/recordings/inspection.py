@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import se2
 from ..elapsed import elapsed
-from ..gaps import MIN_GAP, UnseenStretch, longest_period, unseen_stretches
+from ..gaps import Gap, UnseenStretch, gap_warnings, rate_and_gaps, unseen_stretches
 from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport, YawRate
 from ..path_length import path_length
 from .odometry_speed import MIN_INTERVAL
@@ -21,14 +21,6 @@ MAX_INVALID_SHARE = 0.5
 """Share of the beams; above it there is a warning."""
 MAX_REPEATED_SHARE = 0.1
 """Share of the scans that have the stamp of the one before; above it, stamps are coarser than scans are frequent."""
-
-
-@dataclass(frozen=True, slots=True)
-class Gap:
-    """Pause without messages of one type: start (stamp) and duration, seconds."""
-
-    start: float
-    duration: float
 
 
 @dataclass(slots=True)
@@ -120,7 +112,7 @@ def inspect(source: Source) -> RecordingInfo:
     info = RecordingInfo(
         source.name, len(scans.stamps), len(stamps), len(yaw_rates), ground_truth=truth, report=source.report
     )
-    info.gyroscope_rate, _ = _rate_and_gaps(np.array(yaw_rates))
+    info.gyroscope_rate, _ = rate_and_gaps(np.array(yaw_rates))
     _describe_scans(info, scans)
     times = np.array(stamps)
     _describe_odometry(info, times, np.array(poses).reshape(-1, 3), np.array(scans.stamps))
@@ -135,7 +127,7 @@ def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
     if scans.last is None:
         return
     stamps = np.array(scans.stamps)
-    info.scan_rate, info.scan_gaps = _rate_and_gaps(stamps)
+    info.scan_rate, info.scan_gaps = rate_and_gaps(stamps)
     info.repeated_stamps = float(np.mean(np.diff(stamps) == 0.0)) if len(stamps) > 1 else 0.0
     info.beams = min(scans.beams), max(scans.beams)
     info.field_of_view = float(scans.last.angles[0]), float(scans.last.angles[-1])
@@ -149,7 +141,7 @@ def _describe_scans(info: RecordingInfo, scans: _ScanStatistics) -> None:
 
 
 def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats, scans: Floats) -> None:
-    info.odometry_rate, info.odometry_gaps = _rate_and_gaps(stamps)
+    info.odometry_rate, info.odometry_gaps = rate_and_gaps(stamps)
     if len(stamps) < 2:
         return
     steps = se2.between(poses[:-1], poses[1:])
@@ -163,16 +155,6 @@ def _describe_odometry(info: RecordingInfo, stamps: Floats, poses: Floats, scans
     positions = np.concatenate([[[0.0, 0.0]], np.cumsum(displacements, axis=0)])
     info.path_length = path_length(positions)
     info.unseen = unseen_stretches(scans, stamps, positions)
-
-
-def _rate_and_gaps(stamps: Floats) -> tuple[float | None, list[Gap]]:
-    """Return the mean rate outside of gaps (Hz), and the gaps; (None, []) if there are no two different stamps."""
-    periods, longest = np.diff(stamps), longest_period(stamps)
-    if longest is None:
-        return None, []
-    is_gap = periods > longest
-    gaps = [Gap(float(stamps[i]), float(periods[i])) for i in np.flatnonzero(is_gap)]
-    return 1.0 / float(np.mean(periods[~is_gap])), gaps
 
 
 def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> list[str]:
@@ -225,43 +207,6 @@ def _offset_warnings(info: RecordingInfo) -> list[str]:
         warnings.append(
             f"beams are measured up to {high:.3f} s after their scan's stamp, which is longer than a revolution"
         )
-    return warnings
-
-
-def gap_warnings(scans: Floats, odometry: Floats) -> list[str]:
-    """Return one line of text for each kind of gap in the stamps (n,) of the scans and (m,) of the odometry, seconds.
-
-    Times in the texts are since the first stamp.
-    """
-    start = min((float(stamps[0]) for stamps in (scans, odometry) if len(stamps)), default=0.0)
-    warnings = []
-    for name, stamps in (("scans", scans), ("odometry", odometry)):
-        _, gaps = _rate_and_gaps(stamps)
-        warnings += _longest_gap(name, gaps, start)
-    return warnings + (_overlap_warnings(scans, odometry, start) if len(scans) and len(odometry) else [])
-
-
-def _longest_gap(name: str, gaps: list[Gap], start: float) -> list[str]:
-    if not gaps:
-        return []
-    longest = max(gaps, key=lambda gap: gap.duration)
-    when = elapsed(longest.start - start)
-    return [f"{_count(len(gaps), 'gap')} in the {name}, the longest {longest.duration:.1f} s at {when}"]
-
-
-def _overlap_warnings(scans: Floats, odometry: Floats, start: float) -> list[str]:
-    """Return warnings for scans before, after and in gaps of the odometry."""
-    warnings = []
-    if (lead := float(odometry[0] - scans[0])) > MIN_GAP:
-        warnings.append(f"scans without odometry for {lead:.1f} s at {elapsed(scans[0] - start)}")
-    if (tail := float(scans[-1] - odometry[-1])) > MIN_GAP:
-        warnings.append(f"scans without odometry for {tail:.1f} s at {elapsed(odometry[-1] - start)}")
-    after = np.searchsorted(odometry, scans)
-    inside = (after > 0) & (after < len(odometry))
-    wide = odometry[after[inside]] - odometry[after[inside] - 1]
-    for last in np.unique(odometry[after[inside] - 1][wide > 10 * MIN_GAP])[:3]:
-        following = odometry[np.searchsorted(odometry, last, side="right")]
-        warnings.append(f"scans without odometry for {following - last:.1f} s at {elapsed(last - start)}")
     return warnings
 
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from drivers import se2
+from drivers.gaps import gap_warnings
 from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
-from drivers.recordings.inspection import gap_warnings
 
 from ..config import Config
 from ..events import Sink
@@ -72,8 +72,7 @@ class RecordingInput:
         self._source = source
         self._timing: RecordingTiming | None = None
         self._second_timing: RecordingTiming | None = None
-        self._scan_stamps: list[float] = []
-        self._odometry_stamps: list[float] = []
+        self._scan_stamps, self._odometry_stamps = GrowingArray(()), GrowingArray(())
 
     @property
     def report(self) -> SourceReport:
@@ -100,7 +99,7 @@ class RecordingInput:
 
     def facts(self) -> dict[str, Any]:
         """Return the gaps in the recording, the timing of the lidar, and how the recording was read."""
-        gaps = gap_warnings(np.array(self._scan_stamps), np.array(self._odometry_stamps))
+        gaps = gap_warnings(self._scan_stamps.rows, self._odometry_stamps.rows)
         if self._timing is None:
             return {"gaps": gaps}
         read_as = [*self.report.interpretations, *self._timing.corrections()]

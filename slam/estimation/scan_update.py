@@ -149,8 +149,8 @@ def _add_last_view(state: SlamState, timer: StageTimer) -> KeyframeUpdate | None
     scan, tracking = view
     motion = state.odometry_model.correct(se2.between(state.anchor.odometry, scan.odometry))
     of_odometry = np.asarray(inverse(state.odometry_model.covariance(motion)))
-    more_certain = is_positive_definite(of_odometry - tracking.registration.total_information)
-    if more_certain or wheel_travel(motion) < MIN_MOTION_TRAVEL:
+    odometry_tells_more = is_positive_definite(of_odometry - tracking.registration.total_information)
+    if odometry_tells_more or wheel_travel(motion) < MIN_MOTION_TRAVEL:
         return None
     return _add_view(state, scan, tracking, timer)
 

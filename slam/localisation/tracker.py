@@ -196,8 +196,11 @@ class Tracker:
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
         # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.
         count = self._untracked_in_a_row + 1
-        unseen = self._predictor.is_after_gap(count, MAX_UNTRACKED_SCANS)
-        agree_for_long = count >= MAX_UNTRACKED_SCANS and not (self.view_changed or unseen)
+        agree_for_long = (
+            count >= MAX_UNTRACKED_SCANS
+            and not self.view_changed
+            and not self._predictor.is_after_gap(count, MAX_UNTRACKED_SCANS)
+        )
         if slipped or (confirmed and (match.poor or _ambiguous(match)) and not agree_for_long):
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirmed or contradicts

@@ -256,17 +256,17 @@ class LoopAgreement:
         """
         has_returned = self._returns[-1:] == [look.travelled]
         if not has_returned:
-            self._return_support(look)
+            self._reset_moved_estimate(look)
         kept = [self._estimate] if self._estimate.support or has_returned else []
         for hypothesis in sorted(self._hypotheses, key=lambda h: -len(h.support)):
             if all(differ(look, hypothesis.motion, other.motion) for other in kept):
                 kept.append(hypothesis)
         self._hypotheses = [hypothesis for hypothesis in kept if hypothesis is not self._estimate]
 
-    def _return_support(self, look: Look) -> None:
-        """Take the support from the estimate if its match has reached another place, which more looks support already.
+    def _reset_moved_estimate(self, look: Look) -> None:
+        """Set the estimate back if its match has reached another place that another hypothesis has more support for.
 
-        It would count from this look on only, and the earlier looks would be lost with the other hypothesis.
+        Else it would replace that hypothesis, and the looks before this one would no longer count.
         """
         count, motion = len(self._estimate.support), self._estimate.motion
         if not count or not differ(look, motion, np.zeros(3)):
