@@ -37,7 +37,7 @@ from .look import Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
-from .votes import Search, Tested, Vote, find_votes, is_recognised, least_quality
+from .votes import Search, Tested, Vote, find_votes, is_recognised, least_quality, with_better_matches
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = 2.0
@@ -174,6 +174,7 @@ class LoopAgreement:
         places = look.possible_places()
         tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
         found = [] if self._is_settled(look, places, tested) else self._find(look, places)
+        tested = with_better_matches(look, tested, found)
         if self._joins:
             self._test_estimate(look, tested, found)
         elif self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):

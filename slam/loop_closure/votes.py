@@ -45,6 +45,20 @@ def find_votes(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
     return distinct
 
 
+def with_better_matches(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> list[Tested]:
+    """Return tested hypotheses with the best match at the place of each, which may be one that the search has found.
+
+    The match near a hypothesis may be a local minimum, such as the next door frame of a corridor.
+    """
+    better = list[Tested]()
+    for hypothesis, vote in tested:
+        if vote is not None:
+            same = [vote, *(other for other in found if not differ(look, vote.motion, other.motion))]
+            vote = max(same, key=lambda vote: vote.match.score)
+        better.append((hypothesis, vote))
+    return better
+
+
 def is_recognised(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> bool:
     """Return True if the look fits an old place at a pose for which the estimate's uncertainty admits a closure.
 
