@@ -5,8 +5,8 @@ uncertainty of the estimate (see `look`). Each match is a hypothesis: a motion t
 map. One match may be wrong, as places look alike, so each later look tests all hypotheses again. A loop is closed if
 looks support its hypothesis over as many metres of driving as the robot may be off, and if few contradict it or support
 a rival. Looks count only if they are pairwise consistent (Mangelson et al., 2018): the motion between two of them over
-the old map must be that of the estimate. The estimate itself is the first hypothesis: if it fits, the robot has
-returned, and nothing is corrected.
+the old map must be that of the estimate. The estimate itself is tested, too: if it agrees with the match that starts
+there, the robot has returned, and nothing is corrected. If it does not, this match is a hypothesis like any other.
 
 The uncertainty of the estimate may be wrong itself. So if looks contradict the estimate, and no place is recognised
 within its uncertainty, places are searched where the robot may be if its errors are the same all along the drive; see
@@ -37,7 +37,16 @@ from .look import Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
-from .votes import Search, Tested, Vote, find_votes, is_recognised, least_quality, with_better_matches
+from .votes import (
+    Search,
+    Tested,
+    Vote,
+    corrects_estimate,
+    find_votes,
+    is_recognised,
+    least_quality,
+    with_better_matches,
+)
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = 2.0
@@ -152,7 +161,9 @@ class LoopAgreement:
         self._last_search, self._submaps = state.last_search, submaps
         self._searched = dict(state.searched)  # metres driven up to the last search of each place
         self._returns = list(state.returns)  # metres driven up to each look that agrees with the estimate
-        self._estimate, self._hypotheses = state.estimate.copy(), [h.copy() for h in state.hypotheses]
+        # The estimate has no support. It has in sessions of earlier versions.
+        self._estimate = LoopHypothesis(np.zeros(3), contradictions=list(state.estimate.contradictions))
+        self._hypotheses = [h.copy() for h in state.hypotheses]
         self._candidates, self._retracted = state.candidates, list(state.retracted)
 
     def search(
@@ -232,16 +243,21 @@ class LoopAgreement:
         tested  all hypotheses, with the look's match where each has the robot
         found   the matches with old places, wherever the robot may be
         """
-        new = [vote for vote in found if all(differ(look, vote.motion, t.motion) for _, t in tested if t is not None)]
-        fitting = [vote for _, vote in tested if vote is not None and fits(vote.match)]
-        least = least_quality([*fitting, *new])
+        corrections = [
+            vote for h, vote in tested if h is self._estimate and vote is not None and corrects_estimate(look, vote)
+        ]
+        followed = [vote.motion for h, vote in tested if h is not self._estimate and vote is not None]
+        new = [vote for vote in (*found, *corrections) if all(differ(look, vote.motion, motion) for motion in followed)]
+        least = least_quality([*new, *(vote for _, vote in tested if vote is not None and fits(vote.match))])
         for hypothesis, vote in tested:
             if vote is None:
                 continue
-            if fits(vote.match) and vote.match.quality >= least:
-                if is_determined(vote.match):
-                    self._add_support(hypothesis, look, vote, local_field)
-            elif vote.match.known >= MIN_KNOWN:
+            is_good = fits(vote.match) and vote.match.quality >= least
+            if hypothesis is self._estimate:
+                self._judge_estimate(look, vote, local_field, is_good=is_good)
+            elif is_good and is_determined(vote.match):
+                _support(hypothesis, look, vote)
+            elif not is_good and vote.match.known >= MIN_KNOWN:
                 hypothesis.contradictions.append(look.travelled)
         for vote in new:
             if vote.match.quality >= least:
@@ -250,30 +266,33 @@ class LoopAgreement:
                 self._hypotheses.append(hypothesis)
         self._merge_equal(look)
 
+    def _judge_estimate(self, look: Look, vote: Vote, local_field: LocalField, *, is_good: bool) -> None:
+        """Count a look for or against the estimate, by the match that starts there; link the places if they agree.
+
+        A match that has reached another place is none with the place where the estimate has the robot.
+        """
+        is_elsewhere = is_determined(vote.match) and differ(look, vote.motion, np.zeros(3))
+        if is_good and not is_elsewhere:
+            if is_determined(vote.match) and look.agrees(vote.old, vote.match):
+                local_field.link(vote.old, look.last)
+                self._returns.append(look.travelled)
+                self.returns.append(Return.of(look, vote.old, vote.match))
+                self._estimate = LoopHypothesis(np.zeros(3))
+        elif vote.match.known >= MIN_KNOWN:
+            self._estimate.contradictions.append(look.travelled)
+
     def _merge_equal(self, look: Look) -> None:
         """Keep one, that with the most support, of the hypotheses that have converged to the same motion.
 
         One that has converged to the estimate is given up if the look agrees with that: nothing has to be corrected.
         """
         has_returned = self._returns[-1:] == [look.travelled]
-        if not has_returned:
-            self._reset_moved_estimate(look)
-        kept = [self._estimate] if self._estimate.support or has_returned else []
+        kept = list[LoopHypothesis]()
         for hypothesis in sorted(self._hypotheses, key=lambda h: -len(h.support)):
-            if all(differ(look, hypothesis.motion, other.motion) for other in kept):
+            others = [*(other.motion for other in kept), *([np.zeros(3)] if has_returned else [])]
+            if all(differ(look, hypothesis.motion, motion) for motion in others):
                 kept.append(hypothesis)
-        self._hypotheses = [hypothesis for hypothesis in kept if hypothesis is not self._estimate]
-
-    def _reset_moved_estimate(self, look: Look) -> None:
-        """Set the estimate back if its match has reached another place that another hypothesis has more support for.
-
-        Else it would replace that hypothesis, and the looks before this one would no longer count.
-        """
-        count, motion = len(self._estimate.support), self._estimate.motion
-        if not count or not differ(look, motion, np.zeros(3)):
-            return
-        if any(len(h.support) > count and not differ(look, h.motion, motion) for h in self._hypotheses):
-            self._estimate = LoopHypothesis(np.zeros(3), contradictions=self._estimate.contradictions)
+        self._hypotheses = kept
 
     @property
     def _all_hypotheses(self) -> list[LoopHypothesis]:
@@ -287,16 +306,6 @@ class LoopAgreement:
         since = hypothesis.support[-1].keyframe if hypothesis.support else look.last
         match = look.test(old, hypothesis.motion, since)
         return Vote(old, match, look.motion(old, match.pose))
-
-    def _add_support(self, hypothesis: LoopHypothesis, look: Look, vote: Vote, local_field: LocalField) -> None:
-        """Add a look to the support of a hypothesis; or link the places if nothing has to be corrected."""
-        if hypothesis is self._estimate and look.agrees(vote.old, vote.match):
-            local_field.link(vote.old, look.last)
-            self._returns.append(look.travelled)
-            self.returns.append(Return.of(look, vote.old, vote.match))
-            self._estimate = LoopHypothesis(np.zeros(3))
-        else:
-            _support(hypothesis, look, vote)
 
     def _note_rejections(self, look: Look) -> None:
         """Keep, for reports, why the hypotheses that the look supports are not accepted."""

@@ -55,20 +55,17 @@ def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
     return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))
 
 
-def support_checks(
-    hypothesis: LoopHypothesis, look: Look, against: int, *, corrects: bool, joins: bool
-) -> tuple[Check, ...]:
-    """Check that enough looks support a hypothesis, and that the estimate's uncertainty admits it.
+def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, joins: bool) -> tuple[Check, ...]:
+    """Check that enough looks support a hypothesis, and that the uncertainty admits it if it leads elsewhere.
 
     A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
     must extend over this distance. Furniture that was moved may look like another place in all looks that have it in
     common. So the looks must extend over a submap, too, if the hypothesis leads there, if the estimate is in doubt, or
     if there is no estimate, as parts of the map are joined.
 
-    look      the last one
-    against   number of looks that contradict the hypothesis
-    corrects  true if it would correct the estimate; false if it is that the estimate is right
-    joins     true if it would join parts of the map
+    look     the last one
+    against  number of looks that contradict the hypothesis
+    joins    true if it would join parts of the map
     """
     count, old = len(hypothesis.support), hypothesis.support[-1].old
     elsewhere = joins or look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
@@ -79,7 +76,7 @@ def support_checks(
         Check("span", hypothesis.span, span, at_least=True),
         Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
     ]
-    if corrects:
+    if elsewhere:
         deviations = np.sqrt(look.squared_distance(old, look.relative(old, hypothesis.motion)))
         checks.append(Check("mahalanobis", float(deviations), float(np.sqrt(MAX_CLOSED_DISTANCE)), at_least=False))
     return tuple(checks)

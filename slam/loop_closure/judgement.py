@@ -17,7 +17,7 @@ class Judgement:
     """Judgement of hypotheses by their support, the contradictions and their rivals.
 
     look        last look
-    estimate    hypothesis that nothing has to be corrected
+    estimate    hypothesis that nothing has to be corrected; it has no support
     hypotheses  all that are followed; the estimate is one of them, except with `joins`
     returns     metres driven up to each look that agrees with the estimate
     joins       true if the places are in parts of the map that are not connected with the last keyframe
@@ -51,18 +51,17 @@ class Judgement:
 
     def _judged(self, hypothesis: LoopHypothesis) -> tuple[LoopHypothesis, tuple[Check, ...]]:
         """Return a hypothesis with its checks; if it passes them, with the consistent part of its support only."""
-        corrects = hypothesis is not self.estimate
-        checks = self._checks(hypothesis, corrects=corrects)
+        checks = self._checks(hypothesis)
         if all(check.passed for check in checks):
             hypothesis = replace(hypothesis, support=self.look.consistent(hypothesis.support))
-            checks = self._checks(hypothesis, corrects=corrects)
+            checks = self._checks(hypothesis)
         return hypothesis, checks
 
-    def _checks(self, hypothesis: LoopHypothesis, *, corrects: bool) -> tuple[Check, ...]:
+    def _checks(self, hypothesis: LoopHypothesis) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
         first = hypothesis.support[0].travelled
         against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returns))
-        return support_checks(hypothesis, self.look, against, corrects=corrects, joins=self.joins)
+        return support_checks(hypothesis, self.look, against, joins=self.joins)
 
     def _decide(
         self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], checks: tuple[Check, ...]

@@ -20,8 +20,7 @@ class LoopHypothesis:
     support         latest match of each look that supports it
     contradictions  metres driven up to each look that contradicts it
     rejection       decision against it at the last look that supports it, for reports; not stored in sessions
-    admitted        true unless the estimate's uncertainty excludes its closure at the last look that supports it; not
-                    stored in sessions
+    admitted        true unless the estimate's uncertainty excludes its closure at the last look that supports it
     """
 
     motion: se2.Pose
@@ -68,7 +67,7 @@ class LoopAgreementState:
     places       submaps of the last old places, by the keyframe in their middle, in the order in which they were built
     searched     metres driven up to the last search of each place, by the keyframe in its middle
     returns      metres driven up to each look that agrees with the estimate
-    estimate     the hypothesis that the estimate is right
+    estimate     the hypothesis that the estimate is right, without support
     hypotheses   all others; each has support
     candidates   number of closures so far
     retracted    motions of retracted closures, which are not accepted again

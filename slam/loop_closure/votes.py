@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import numpy as np
+
 from drivers import se2
 
 from .criteria import admits_closure, differ, fits, is_determined
@@ -57,6 +59,13 @@ def with_better_matches(look: Look, tested: Sequence[Tested], found: Sequence[Vo
             vote = max(same, key=lambda vote: vote.match.score)
         better.append((hypothesis, vote))
     return better
+
+
+def corrects_estimate(look: Look, vote: Vote) -> bool:
+    """Return True if a vote of the match that starts at the estimate implies a correction of it."""
+    if not fits(vote.match) or not is_determined(vote.match) or look.agrees(vote.old, vote.match):
+        return False
+    return look.admits(vote.old, vote.match.pose) or not differ(look, vote.motion, np.zeros(3))
 
 
 def is_recognised(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> bool:

@@ -32,6 +32,7 @@ class _Hypothesis(Record):
     motion: Pose
     support: list[_Match]
     contradictions: list[Finite]
+    admitted: bool = True  # earlier versions have not written it
 
 
 class _SupportedHypothesis(_Hypothesis):
@@ -107,7 +108,12 @@ def _fields(hypothesis: LoopHypothesis) -> dict[str, object]:
         )
         for match in hypothesis.support
     ]
-    return {"motion": to_pose(hypothesis.motion), "support": support, "contradictions": hypothesis.contradictions}
+    return {
+        "motion": to_pose(hypothesis.motion),
+        "support": support,
+        "contradictions": hypothesis.contradictions,
+        "admitted": hypothesis.admitted,
+    }
 
 
 def _hypothesis(record: _Hypothesis) -> LoopHypothesis:
@@ -123,4 +129,5 @@ def _hypothesis(record: _Hypothesis) -> LoopHypothesis:
         )
         for match in record.support
     ]
-    return LoopHypothesis(np.array(record.motion), support, list(record.contradictions))
+    contradictions = list(record.contradictions)
+    return LoopHypothesis(np.array(record.motion), support, contradictions, admitted=record.admitted)

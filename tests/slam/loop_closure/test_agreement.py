@@ -17,7 +17,8 @@ from slam.loop_closure.look import Look, Submaps
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
-from slam.loop_closure.submap_search import SUBMAP_LENGTH
+from slam.loop_closure.submap_search import SUBMAP_LENGTH, SubmapMatch
+from slam.loop_closure.votes import Vote
 from slam.mapping.landmarks import Landmarks
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
@@ -219,19 +220,32 @@ def matches_along_a_hall(state: StubMap, shifts: list[float]) -> tuple[Look, lis
     return Look(state, local_field, Submaps()), matches  # type: ignore[arg-type]
 
 
-def test_looks_that_agree_are_not_lost_if_the_match_at_the_estimate_converges_to_their_place() -> None:
-    """The first match that starts at the estimate and gets there would count as the first look of all."""
-    look, matches = matches_along_a_hall(StubMap(np.diag(SIGMAS**2)), [0.0] * 5)
+def vote_for(motion: se2.Pose) -> Vote:
+    """Return a good vote for a motion in the map; the old place is at the origin."""
+    pose = se2.compose(motion, np.array([59.5, 0.0, 0.0]))
+    return Vote(0, SubmapMatch(pose, np.diag([0.05, 0.05, 0.01]) ** 2, fit=0.97, known=0.9), motion)
+
+
+def test_match_that_leaves_the_estimate_supports_the_hypothesis_of_the_place_that_it_reaches() -> None:
+    """It must not count for the estimate, or the looks at that place before it would not count."""
+    look, matches = matches_along_a_hall(StubMap(np.diag([1.0, 1.0, 0.1]) ** 2), [0.0] * 5)
     agreement, motion = LoopAgreement(), np.array([0.6, 0.2, 0.0])
-    estimate = LoopHypothesis(motion, matches[-1:], [match.travelled for match in matches[:-1]])
-    agreement.restore(
-        LoopAgreementState(estimate=estimate, hypotheses=(LoopHypothesis(motion, matches),)), LocalField()
-    )
-    agreement._merge_equal(look)
-    (hypothesis,) = agreement.state.hypotheses
-    assert hypothesis.support == matches
-    assert not agreement.state.estimate.support
-    assert len(agreement.state.estimate.contradictions) == len(matches) - 1
+    agreement.restore(LoopAgreementState(hypotheses=[LoopHypothesis(motion, list(matches))]), LocalField())
+    estimate, hypothesis = agreement._all_hypotheses
+    agreement._vote(look, [(estimate, vote_for(motion)), (hypothesis, vote_for(motion))], [], LocalField())
+    (followed,) = agreement.state.hypotheses
+    assert [match.travelled for match in followed.support] == [*(match.travelled for match in matches), look.travelled]
+    assert agreement.state.estimate.contradictions == [look.travelled]
+
+
+def test_match_that_corrects_the_estimate_a_little_is_a_hypothesis_and_no_contradiction() -> None:
+    look, _ = matches_along_a_hall(StubMap(np.diag([0.3, 0.3, 0.03]) ** 2), [0.0] * 5)
+    agreement = LoopAgreement()
+    (estimate,) = agreement._all_hypotheses
+    agreement._vote(look, [(estimate, vote_for(np.array([0.4, 0.0, 0.0])))], [], LocalField())
+    (proposed,) = agreement.state.hypotheses
+    assert proposed.motion[0] == 0.4
+    assert not agreement.state.estimate.contradictions
 
 
 def test_looks_that_contradict_the_others_do_not_count() -> None:

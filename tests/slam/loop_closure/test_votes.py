@@ -1,4 +1,4 @@
-"""A look recognises a place that the estimate admits only if it fits no other place clearly better."""
+"""The matches of a look: which is the best at a place, and whether one that the estimate admits is recognised."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from drivers import se2
 from slam.loop_closure.criteria import MAX_CLOSED_DISTANCE
 from slam.loop_closure.submap_search import SubmapMatch
-from slam.loop_closure.votes import Vote, is_recognised
+from slam.loop_closure.votes import Vote, is_recognised, with_better_matches
 
 NEAR, FAR = np.zeros(3), np.array([3.0, 0.0, 0.0])  # the estimate admits a closure at the first place only
 
@@ -39,3 +39,14 @@ def test_a_place_is_recognised_if_no_other_one_fits_clearly_better(votes: list[V
     assert is_recognised(look, [], votes) == recognised
     hypothesis: Any = object()
     assert is_recognised(look, [(hypothesis, vote) for vote in votes], []) == recognised
+
+
+def test_better_match_at_the_same_place_replaces_that_near_a_hypothesis() -> None:
+    """Gauss-Newton may stop at the next door frame; the search has found the right one."""
+    look: Any = SimpleNamespace(pose=np.zeros(3))
+    hypothesis: Any = object()
+    near, better = vote_at(np.array([0.4, 0.0, 0.0]), 0.8), vote_at(NEAR, 0.97)
+    elsewhere = vote_at(FAR, 0.99)
+    assert with_better_matches(look, [(hypothesis, near)], [elsewhere, better]) == [(hypothesis, better)]
+    assert with_better_matches(look, [(hypothesis, better)], [elsewhere, near]) == [(hypothesis, better)]
+    assert with_better_matches(look, [(hypothesis, None)], [better]) == [(hypothesis, None)]
