@@ -8,10 +8,10 @@ a rival. Looks count only if they are pairwise consistent (Mangelson et al., 201
 the old map must be that of the estimate. The estimate itself is tested, too: if it agrees with the match that starts
 there, the robot has returned, and nothing is corrected. If it does not, this match is a hypothesis like any other.
 
-The uncertainty of the estimate may be wrong itself. So if looks contradict the estimate, and no place is recognised
-within its uncertainty, places are searched where the robot may be if its errors are the same all along the drive; see
-`RelativeUncertainty`. If the estimate has the robot where nothing was mapped, it is not in doubt: a place that looks
-alike may be there.
+The uncertainty of the estimate may be wrong itself. So if looks contradict the estimate, a hypothesis may also be
+accepted if errors that are the same all along the drive explain it; see `RelativeUncertainty`. And if no place is
+recognised within the uncertainty of the estimate, places are searched where the robot may be by such errors. If the
+estimate has the robot where nothing was mapped, it is not in doubt: a place that looks alike may be there.
 
 Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
 where odometry has put them, and a pose that fits there is one of the matches. If looks at what the other part has seen
@@ -189,7 +189,7 @@ class LoopAgreement:
         if self._joins:
             self._test_estimate(look, tested, found)
         elif self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):
-            look = Look(mapper, local_field, self._submaps, among, doubted=True)
+            look = look.doubting_estimate()
             places = look.possible_places()
             beyond = self._find(look, places, DOUBTED_PLACES)
             found += [vote for vote in beyond if all(differ(look, vote.motion, other.motion) for other in found)]
@@ -197,7 +197,7 @@ class LoopAgreement:
             return None
         self._vote(look, tested, found, local_field)
         unsearched = any(place not in self._searched for place in places)  # one of them may be a rival
-        decision = None if unsearched else self._judgement(look).accepted()
+        decision = None if unsearched else self._accepted(look)
         if decision is None or self._is_excluded(look, decision.correction):
             self._note_rejections(look)
             return None
@@ -316,6 +316,13 @@ class LoopAgreement:
             decision, equal = judgement.decision(hypothesis)
             was_retracted = self._is_excluded(look, hypothesis.motion)
             hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)
+
+    def _accepted(self, look: Look) -> LoopDecision | None:
+        """Return a closure that looks agree on, if any. Looks that contradict the estimate put its errors in doubt."""
+        decision = self._judgement(look).accepted()
+        if decision is None and not self._joins and self._is_refuted(look):
+            decision = self._judgement(look.doubting_estimate()).accepted()
+        return decision
 
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""

@@ -6,6 +6,7 @@ The old places are those where the robot may be by the uncertainty of the estima
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,6 +97,12 @@ class Look:
         self._old = old[np.flatnonzero(np.diff(number, prepend=-1.0))]  # keyframes in the middle of old submaps
         self._distances = np.hypot(*(poses[self._old, :2] - self.pose[:2]).T)
         self._submap: Submap | None = None
+
+    def doubting_estimate(self) -> Look:
+        """Return the same look, for which the errors of the estimate may be correlated along the drive."""
+        other = copy(self)
+        other.uncertainty = RelativeUncertainty(self._mapper, self.last, doubted=True)
+        return other
 
     @property
     def submap(self) -> Submap:

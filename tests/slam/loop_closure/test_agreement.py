@@ -6,6 +6,7 @@ import copy
 from dataclasses import dataclass, field
 
 import numpy as np
+import pytest
 
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Floats, Segments
@@ -236,6 +237,22 @@ def test_match_that_leaves_the_estimate_supports_the_hypothesis_of_the_place_tha
     (followed,) = agreement.state.hypotheses
     assert [match.travelled for match in followed.support] == [*(match.travelled for match in matches), look.travelled]
     assert agreement.state.estimate.contradictions == [look.travelled]
+
+
+@pytest.mark.parametrize(("contradicted", "accepted"), [([], False), ([40.0, 46.0, 52.0, 58.0], True)])
+def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
+    contradicted: list[float], accepted: bool
+) -> None:
+    """The looks agree on a motion of 3.5 standard deviations."""
+    motion = np.array([1.1, 0.0, 0.0])
+    look, matches = matches_along_a_hall(StubMap(np.diag([0.1, 0.1, 0.02]) ** 2), [motion[0]] * 5)
+    estimate, hypothesis = LoopHypothesis(np.zeros(3), [], contradicted), LoopHypothesis(motion, matches)
+    agreement = LoopAgreement()
+    agreement.restore(LoopAgreementState(estimate=estimate, hypotheses=[hypothesis]), LocalField())
+    agreement._vote(look, [(agreement._all_hypotheses[1], vote_for(motion))], [], LocalField())
+    decision = agreement._accepted(look)
+    assert (decision is not None) == accepted
+    assert decision is None or decision.doubted
 
 
 def test_match_that_corrects_the_estimate_a_little_is_a_hypothesis_and_no_contradiction() -> None:
