@@ -8,16 +8,24 @@ is decided at a margin n with an error probability of about ((1 - p) / p)^n. Sca
 keyframes: those of a robot that stands repeat each other. A test of a robot that stands ends like the monitoring of a
 closure.
 
+That holds for poses that odometry predicts. If tracking finds a pose elsewhere by search, as after a slip, the next
+scans may fit there one after the other, as in a look-alike corridor. So a scan counts as fitting only if its pose
+agrees with odometry since the robot was last seen in the part.
+
 Tracking accepts scans of which only half of the points fit, as around people. Where little of the map is in view, one
 scan after the other may fit as poorly as that elsewhere, too. So a poor fit says nothing.
 """
 
 from __future__ import annotations
 
+import numpy as np
+
 from drivers import se2
 
+from ..geometry.small_matrices import inverse
+from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult, TrackingStatus
-from ..matching.point_matcher import MIN_KNOWN_POINTS
+from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, Prediction
 from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import MONITORED_SCANS, ClosureMonitor
@@ -43,7 +51,9 @@ class EarlierPart:
     """
 
     def __init__(self, state: SlamState, monitor: ClosureMonitor) -> None:
+        assert state.tracker.fix is not None
         self.state, self.monitor = state, monitor
+        self._last_seen = state.tracker.fix
         self._balance, self._scans, self._travelled = 0, 0, 0.0  # metres
         self._counted: se2.Pose | None = None  # odometry at the last scan that was counted
 
@@ -61,8 +71,29 @@ class EarlierPart:
         self.state.untracked_scans, self.state.tentative = [], []  # no part begins with them
         extend_trajectory(self.state, scan.stamp, tracking)
         self.monitor.record(scan)
-        self._count(_evidence(tracking), scan.odometry)
+        self._count(self._evidence(tracking, scan.odometry), scan.odometry)
         return tracking
+
+    def _evidence(self, tracking: TrackingResult, odometry: se2.Pose) -> int:
+        """Return 1 if a scan fits well where odometry predicts it, -1 if it does not fit there, 0 if undecided."""
+        if tracking.status is TrackingStatus.NO_FEATURES or tracking.known < MIN_KNOWN_POINTS:
+            return 0
+        if tracking.status is not TrackingStatus.TRACKED or tracking.slipped:
+            return -1
+        if not self._agrees_with_odometry(tracking.pose, odometry):
+            return -1
+        return 0 if tracking.poor else 1
+
+    def _agrees_with_odometry(self, pose: se2.Pose, odometry: se2.Pose) -> bool:
+        """Return True if odometry since the robot was last seen in the part leads to about `pose`.
+
+        True also without odometry, whose motions are those between the poses of the new part.
+        """
+        model = self.state.odometry_model
+        motion = model.correct(self._last_seen.odometry_motion(odometry))
+        information = inverse(model.covariance(motion) + np.diag(PREDICTION_SIGMAS**2))
+        predicted = Prediction(se2.compose(self._last_seen.pose, motion), information)
+        return not model.measured or predicted.squared_distance(pose) <= KERNEL**2
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
         """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""
@@ -90,12 +121,3 @@ class EarlierPart:
     def left(self) -> bool:
         """True if the robot is somewhere else by now, whether it was carried or not, or stands for long."""
         return self._travelled > MAX_TEST_DISTANCE or self._scans > MONITORED_SCANS
-
-
-def _evidence(tracking: TrackingResult) -> int:
-    """Return 1 if a scan fits well where odometry predicts it, -1 if it does not fit there, 0 if that is undecided."""
-    if tracking.status is TrackingStatus.NO_FEATURES or tracking.known < MIN_KNOWN_POINTS:
-        return 0
-    if tracking.status is not TrackingStatus.TRACKED or tracking.slipped:
-        return -1
-    return 0 if tracking.poor else 1

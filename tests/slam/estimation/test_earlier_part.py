@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from drivers import se2
 from slam.config import Config
 from slam.estimation.closure_monitor import ClosureMonitor
 from slam.estimation.earlier_part import DECIDING_MARGIN, EarlierPart
@@ -23,13 +26,28 @@ FEATURES = ScanFeatures(
     CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=int), np.zeros((0, 2))),
     ScanPoints(np.zeros((0, 2))),
 )
+EXACT = np.zeros(3)
 
 
-def holds(monkeypatch: pytest.MonkeyPatch, results: list[TrackingResult]) -> bool:
-    """Return True if the robot is found not to have left the part, after scans with these results, a metre apart."""
-    part = EarlierPart(SlamState(Config()), ClosureMonitor())
+def earlier_part() -> EarlierPart:
+    """Return the test of a part of the map in which the robot was last seen at the origin."""
+    state = SlamState(Config())
+    state.tracker.move_to(np.zeros(3), np.zeros(3))
+    return EarlierPart(state, ClosureMonitor())
+
+
+def holds(monkeypatch: pytest.MonkeyPatch, results: list[TrackingResult], error: se2.Pose = EXACT) -> bool:
+    """Return True if the robot is found not to have left the part, after scans with these results, a metre apart.
+
+    error  of odometry: the pose of a scan in the frame of the one that odometry predicts, metres and radians
+    """
+    part = earlier_part()
     remaining = iter(results)
-    monkeypatch.setattr("slam.estimation.earlier_part.track", lambda *_: next(remaining))
+
+    def track(_: SlamState, scan: ProcessedScan, __: object) -> TrackingResult:
+        return replace(next(remaining), pose=se2.compose(scan.odometry, error))
+
+    monkeypatch.setattr("slam.estimation.earlier_part.track", track)
     for k in range(len(results)):
         part.add(ProcessedScan(float(k), np.array([float(k), 0.0, 0.0]), FEATURES))
     return part.holds
@@ -64,15 +82,25 @@ def test_scans_against_odometry_do_not_show_it(monkeypatch: pytest.MonkeyPatch) 
     assert not holds(monkeypatch, [tracking_result(slipped=True)] * 9)
 
 
+@pytest.mark.parametrize("error", [[3.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2]], ids=["shifted", "turned"])
+def test_scans_that_fit_one_after_the_other_where_odometry_did_not_lead_do_not_show_it(
+    monkeypatch: pytest.MonkeyPatch, error: list[float]
+) -> None:
+    """A robot that was carried seemed to stand in another corridor of the part, as tracking had found a pose there."""
+    assert not holds(monkeypatch, [tracking_result()] * 9, np.array(error))
+    assert holds(monkeypatch, [tracking_result()] * 9, 0.01 * np.array(error))
+
+
 def test_scans_that_would_not_count_are_left_out_once_the_robot_seems_elsewhere(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A lost robot took 64 ms a scan on a fast computer, most of it for this test."""
-    part, tracked = EarlierPart(SlamState(Config()), ClosureMonitor()), []
+    part, tracked = earlier_part(), []
 
     def track(state: SlamState, scan: ProcessedScan, _: object) -> TrackingResult:
         tracked.append(scan.stamp)
-        return tracking_result(TrackingStatus.FAILED if scan.stamp < 10.0 else TrackingStatus.TRACKED)
+        status = TrackingStatus.FAILED if scan.stamp < 10.0 else TrackingStatus.TRACKED
+        return tracking_result(status, pose=scan.odometry)
 
     monkeypatch.setattr("slam.estimation.earlier_part.track", track)
     for stamp in range(10):  # 0.1 m apart
