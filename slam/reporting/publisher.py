@@ -37,6 +37,7 @@ from ..loop_closure.decision import LoopDecision
 from ..mapping.mapper import Mapper
 from ..odometry.error_model import OdometryModel
 from ..preprocessing.preprocessor import ProcessedScan
+from .blind_stretches import BlindStretches
 from .event_contents import keyframe_event, loop_event, settled_keyframe_event
 from .odometry_deviations import OdometryDeviations
 
@@ -58,7 +59,7 @@ class Publisher:
         self._published_removed: frozenset[int] | None = None  # wall ids; None before the first map of a session
         self._inspected_keyframes = 0  # at the last inspection of the graph
         self._last_tracked: tuple[se2.Pose, se2.Pose] | None = None  # pose of a scan and of odometry
-        self._deviations = OdometryDeviations()
+        self._deviations, self._blind = OdometryDeviations(), BlindStretches()
 
     def publish(self, event: Event) -> None:
         """Send an event to the sinks that receive its type."""
@@ -74,6 +75,7 @@ class Publisher:
         self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper, odometry_model: OdometryModel
     ) -> None:
         """Publish the pose of a scan, and a notice if it was not tracked normally."""
+        self._blind.add(scan.stamp, blind=tracking.status is TrackingStatus.NO_FEATURES)
         if tracking.slipped:
             self._publish_slip(scan, tracking)
         if tracking.status is TrackingStatus.TRACKED:
@@ -111,6 +113,11 @@ class Publisher:
     def publish_deviations(self, scans: int) -> None:
         """Publish at the end of a run of a number of `scans` how often odometry was far off from them, if ever."""
         if (notice := self._deviations.summary(scans)) is not None:
+            self.publish(notice)
+
+    def publish_blind_stretches(self) -> None:
+        """Publish at the end of a run how long and when the scans showed nothing, if ever."""
+        if (notice := self._blind.summary()) is not None:
             self.publish(notice)
 
     def publish_unseen(self, scans: Floats, stamps: Floats, poses: Floats) -> None:

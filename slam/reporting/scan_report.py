@@ -52,6 +52,7 @@ class ScanReport:
             self._publisher.publish_rejected_loop(decision, stamp, state.mapper)
 
     def end(self, state: SlamState, stamp: float) -> None:
-        """Report at the end of a run the hypotheses of loops that remain, and how often odometry was far off."""
+        """Report at the end of a run the loops that remain undecided, and where scans or odometry told nothing."""
         self.add_rejected_loops(state, stamp, ended=True)
+        self._publisher.publish_blind_stretches()
         self._publisher.publish_deviations(len(self._statistics.overlap_ratios))

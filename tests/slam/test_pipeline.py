@@ -256,11 +256,15 @@ def test_a_run_of_empty_scans_is_bridged_by_odometry(drive: list[Message]) -> No
         else message
         for message in drive
     ]
-    finished = run(messages)
+    listener = EventCollector()
+    finished = run(messages, listener=listener)
     assert error(finished, drive) < 0.03
     health = finished.summary["health"]
     assert isinstance(health, dict)
     assert health["empty_scans"] == 15
+    (warning,) = [notice for notice in listener.of(Notice) if notice.level == "WARN"]
+    assert warning.text.startswith("the scans showed nothing for 1.4 s: the lidar was covered")
+    assert warning.stamp == pytest.approx(6.0, abs=0.15)
 
 
 def test_with_empty_scans_only_the_trajectory_is_odometry(drive: list[Message]) -> None:

@@ -62,3 +62,20 @@ def test_there_is_no_warning_of_odometry_that_was_never_far_off() -> None:
     notices = Notices()
     Publisher([notices]).publish_deviations(4)
     assert notices.levels == []
+
+
+def test_stretches_on_which_the_scans_show_nothing_are_one_warning_if_they_last() -> None:
+    """A robot that was carried with a covered lidar left a map displaced by 1.3 m, and no message."""
+    notices = Notices()
+    publisher = Publisher([notices])
+    mapper: Any = SimpleNamespace(keyframe_count=2)
+    model: Any = None
+    blind = SimpleNamespace(slipped=False, status=TrackingStatus.NO_FEATURES)
+    for spans in ([(1.0, 1.2)], [(1.0, 1.2), (2.0, 3.5), (5.0, 5.8)]):
+        for k in range(80):
+            scan: Any = SimpleNamespace(stamp=0.1 * k, odometry=np.zeros(3))
+            covered = any(first <= scan.stamp <= last for first, last in spans)
+            publisher.publish_tracking(scan, blind if covered else tracking_at(0.0, slipped=False), mapper, model)
+        publisher.publish_blind_stretches()
+    (text,) = notices.texts
+    assert text.startswith("the scans showed nothing for 1.5 s, the longest of 2 times: ")
