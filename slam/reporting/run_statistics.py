@@ -15,13 +15,14 @@ from ..estimation.slam_state import SlamState
 from ..estimation.stage_timer import StageTimer
 from ..graph.range_bias import RangeBias
 from ..localisation.state import LocalisationState, LocalisationStatus
+from ..localisation.tracker import MIN_WALL_LENGTH
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
 from ..loop_closure.returns import summarise
 from ..mapping.mapper import Mapper
 from ..odometry.error_model import OdometryModel
-from ..preprocessing.preprocessor import Preprocessor
+from ..preprocessing.preprocessor import Preprocessor, ProcessedScan
 
 DECIDED = (LoopStatus.REJECTED, LoopStatus.ACCEPTED, LoopStatus.RETRACTED)
 """Statuses of loops that a run counts."""
@@ -39,7 +40,7 @@ class RunStatistics:
     started_anywhere   True if the first of them is LOST, as the drive may start anywhere in the map
     merged_walls       walls that were merged with another one
     loops              every loop decision with its scores, see `loop_row`
-    overlap_ratios     of all tracked scans
+    overlap_ratios     of all tracked scans; NaN for those without walls
     keyframe_times     milliseconds of each keyframe
     stage_times        milliseconds of all keyframes, by stage
     """
@@ -56,9 +57,10 @@ class RunStatistics:
     keyframe_times: list[float] = field(default_factory=list)
     stage_times: dict[str, float] = field(default_factory=dict)
 
-    def add_tracking(self, tracking: TrackingResult) -> None:
+    def add_tracking(self, scan: ProcessedScan, tracking: TrackingResult) -> None:
         """Count a scan by its tracking status."""
-        self.overlap_ratios.append(tracking.registration.overlap_ratio)
+        shows_walls = scan.features.segments.total_length >= MIN_WALL_LENGTH
+        self.overlap_ratios.append(tracking.registration.overlap_ratio if shows_walls else math.nan)
         self.slipped_scans += tracking.slipped
         self.failed_scans += tracking.status is TrackingStatus.FAILED
         self.featureless_scans += tracking.status is TrackingStatus.NO_FEATURES
@@ -103,11 +105,17 @@ class RunStatistics:
         return {name: round(value, 3) for name, value in result.items()}
 
     def health(self) -> dict[str, object]:
-        """Return how well the scans fitted the map, and how many were not tracked normally."""
-        overlap_ratios = np.array(self.overlap_ratios or (0.0,))
+        """Return how well the scans fitted the map, and how many were not tracked normally.
+
+        The overlap ratios are None if most scans show no walls, as among trees: the others say little then.
+        """
+        ratios = np.array(self.overlap_ratios)
+        known = ratios[np.isfinite(ratios)]
+        enough = 2 * len(known) > len(ratios)
+        median, low = np.percentile(known, (50, 5)).round(3).tolist() if enough else (None, None)
         return {
-            "overlap_ratio_median": round(float(np.median(overlap_ratios)), 3),
-            "overlap_ratio_p05": round(float(np.percentile(overlap_ratios, 5)), 3),
+            "overlap_ratio_median": median,
+            "overlap_ratio_p05": low,
             "slipped": self.slipped_scans,
             "failed": self.failed_scans,
             "no_features": self.featureless_scans,

@@ -28,7 +28,7 @@ class ScanReport:
         timer        with the times of the scan's processing
         """
         statistics, publisher, mapper = self._statistics, self._publisher, state.mapper
-        statistics.add_tracking(result.tracking)
+        statistics.add_tracking(scan, result.tracking)
         publisher.publish_tracking(scan, result.tracking, mapper, state.odometry_model)
         if result.update is not None:
             statistics.add_keyframe(result.update, timer)

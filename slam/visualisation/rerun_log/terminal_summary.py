@@ -78,9 +78,10 @@ def _health(data: SessionData) -> Iterator[str]:
     slam = data.summary.get("slam") or {}
     health = slam.get("health") or {}
     if health:
-        overlap_ratio = percent(health.get("overlap_ratio_median") or 0.0)
+        ratio = health.get("overlap_ratio_median")  # None: most scans show no walls
+        overlap = "" if ratio is None else f"overlap ratio {percent(ratio)} (median of the scans); "
         counts = ", ".join(f"{health.get(key, 0)} {text}" for key, text in SCAN_COUNTS.items())
-        yield f"health      overlap ratio {overlap_ratio} (median of the scans); scans: {counts}"
+        yield f"health      {overlap}scans: {counts}"
     else:
         shares = [row.values["Scalars:scalars"][0] for row in rows(data.chunks, "/metrics/overlap_ratio")]
         known = sorted(share for share in shares if not math.isnan(share))
