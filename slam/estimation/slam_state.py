@@ -151,9 +151,9 @@ class SlamState:
         return self.tracker.lost
 
     @property
-    def view_changed(self) -> bool:
-        """True if the view has changed abruptly within the last metres: the robot may have been kidnapped."""
-        return self.tracker.view_changed
+    def may_have_been_carried(self) -> bool:
+        """True if the view or a gap suggests that the robot was carried."""
+        return self.tracker.may_have_been_carried
 
     @property
     def matched_pose(self) -> se2.Pose | None:

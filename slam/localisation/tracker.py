@@ -109,9 +109,13 @@ class Tracker:
         return self._untracked_in_a_row >= MAX_UNTRACKED_SCANS
 
     @property
-    def view_changed(self) -> bool:
-        """True if the view has changed abruptly within the last metres."""
-        return self._views.changed
+    def may_have_been_carried(self) -> bool:
+        """True if something suggests that the robot was carried while its wheels stood: the view, or a gap.
+
+        The view has changed abruptly within the last metres, or in a gap before the scans that are not tracked, so many
+        are missing that the robot would be lost if these had fitted nowhere.
+        """
+        return self._views.changed or self._predictor.stood_in_gap(self._untracked_in_a_row, MAX_UNTRACKED_SCANS)
 
     def track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
         """Estimate the base's pose at a scan taken when odometry was at `odometry`.
@@ -130,7 +134,7 @@ class Tracker:
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
         differs = self._views.add(View(odometry, scan.points.xy), self._predictor.model, suspicious=suspicious)
-        abrupt = tracked and (differs or (slipped and match.poor and self.view_changed))
+        abrupt = tracked and (differs or (slipped and match.poor and self._views.changed))
         if abrupt:
             status, slipped = TrackingStatus.FAILED, False
         follows = self._predictor.tentative is not None and match.points.prediction in predictions[-FROM_TENTATIVE:]
@@ -195,13 +199,14 @@ class Tracker:
             return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
         # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.
-        count = self._untracked_in_a_row + 1
+        scans = self._untracked_in_a_row + 1
         agree_for_long = (
-            count >= MAX_UNTRACKED_SCANS
-            and not self.view_changed
-            and not self._predictor.is_after_gap(count, MAX_UNTRACKED_SCANS)
+            scans >= MAX_UNTRACKED_SCANS
+            and not self._views.changed
+            and not self._predictor.is_after_gap(scans, MAX_UNTRACKED_SCANS)
         )
-        if slipped or (confirmed and (match.poor or _ambiguous(match)) and not agree_for_long):
+        doubtful = confirmed and (match.poor or _ambiguous(match)) and not agree_for_long
+        if slipped or doubtful or (match.poor and self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)):
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirmed or contradicts
 

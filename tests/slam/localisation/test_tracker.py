@@ -34,6 +34,10 @@ ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular,
 WIDE = np.diag(1 / np.array([0.6, 0.6, np.radians(25.0)]) ** 2)  # information of a prediction after odometry has failed
 STANDS = np.array([1.8, 1.7, -0.35])
 THINGS = (2.4, 1.4), (1.2, 2.3), (0.9, 0.8)  # corners of things around STANDS that are not in the map
+FULL_ROOM = np.concatenate(
+    [ROOM, *[outline([(x, y), (x + 0.5, y), (x + 0.5, y + 0.5), (x, y + 0.5)]) for x, y in THINGS]]
+)
+WRONG, RIGHT, STOOD = (0.8, 0.9, 0.8), (0.25, 0.2, -0.35), (0.0, 0.0, 0.0)  # motions by odometry before STANDS
 ROOM_FIELD = noisy_field(ROOM, np.array([1.5, 1.5, 0.0]))
 
 
@@ -183,10 +187,13 @@ def test_no_notice_without_a_failure() -> None:
     assert noticed == []
 
 
-def results_after_gap(gap: float, scans: int, room: Floats = ROOM) -> tuple[Tracker, list[TrackingResult]]:
+def results_after_gap(
+    gap: float, scans: int, room: Floats = ROOM, driven: tuple[float, float, float] = WRONG
+) -> tuple[Tracker, list[TrackingResult]]:
     """Return the results of scans of a robot that stands, after a drive and some seconds without scans.
 
-    Odometry is wrong, and the robot has not driven on as before the gap; see STANDS.
+    The robot has not driven on as before the gap; see STANDS. `driven` is its motion in the gap by odometry, metres,
+    metres and radians.
     """
     tracker = Tracker(OdometryModel(OdometryConfig()))
     target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
@@ -195,7 +202,7 @@ def results_after_gap(gap: float, scans: int, room: Floats = ROOM) -> tuple[Trac
         if not k:
             tracker.move_to(pose, pose)
         tracker.track(0.1 * k, pose, seen_from(pose), target)
-    odometry, seen = se2.compose(pose, np.array([0.8, 0.9, 0.8])), seen_from(STANDS, room)
+    odometry, seen = se2.compose(pose, np.array(driven)), seen_from(STANDS, room)
     return tracker, [tracker.track(1.1 + gap + 0.1 * k, odometry, seen, target) for k in range(scans)]
 
 
@@ -204,17 +211,32 @@ def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
     assert np.all(np.abs(se2.between(STANDS, results[-1].pose)) < [0.05, 0.05, 0.03])
 
 
-@pytest.mark.parametrize(("gap", "lost"), [(0.4, False), (10.0, True)])
-def test_scans_that_fit_badly_do_not_confirm_each_other_after_a_long_gap(gap: float, lost: bool) -> None:
+@pytest.mark.parametrize(("gap", "driven", "lost"), [(0.4, WRONG, False), (10.0, WRONG, True), (10.0, RIGHT, False)])
+def test_scans_that_fit_badly_do_not_confirm_each_other_after_a_long_gap(
+    gap: float, driven: tuple[float, float, float], lost: bool
+) -> None:
     """A robot that stands among things that were not there finds the same pose each time, which proves nothing.
 
-    In a short gap it cannot have left for a place that looks similar.
+    In a short gap it cannot have left for a place that looks similar, and where odometry leads is another proof.
     """
-    things = [outline([(x, y), (x + 0.5, y), (x + 0.5, y + 0.5), (x, y + 0.5)]) for x, y in THINGS]
-    tracker, results = results_after_gap(gap, 4, np.concatenate([ROOM, *things]))
+    tracker, results = results_after_gap(gap, 4, FULL_ROOM, driven)
     assert all(result.poor for result in results)
     assert (results[-1].status is TrackingStatus.TRACKED) is not lost
     assert tracker.lost is lost
+
+
+@pytest.mark.parametrize(("gap", "lost"), [(0.4, False), (10.0, True)])
+def test_a_robot_whose_wheels_stood_in_a_long_gap_may_have_been_carried(gap: float, lost: bool) -> None:
+    """It was carried, and the first scans fit poorly where it stood before: its map went on from there, 97 m wrong."""
+    tracker, results = results_after_gap(gap, 4, FULL_ROOM, STOOD)
+    assert all(result.poor for result in results)
+    assert tracker.lost is tracker.may_have_been_carried is lost
+
+
+def test_a_robot_whose_wheels_stood_in_a_long_gap_is_found_if_the_scans_fit() -> None:
+    tracker, results = results_after_gap(10.0, 1, ROOM, STOOD)
+    assert results[0].status is not TrackingStatus.FAILED
+    assert not tracker.lost
 
 
 @pytest.mark.parametrize("slips", [False, True])
