@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -38,7 +39,7 @@ FIT_DEVIATIONS = 3.0
 PARABOLA_PARAMETERS = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SweepMotion:
     """Motion of odometry during a sweep, relative to the pose in its middle.
 
@@ -59,17 +60,18 @@ class SweepMotion:
     fitted: float
     offset: float = 0.0
 
-    @classmethod
-    def standing(cls, beams: int) -> SweepMotion:
+    @staticmethod
+    @lru_cache(maxsize=2)  # all scans of a lidar have as many beams; there may be two lidars
+    def standing(beams: int) -> SweepMotion:
         """Return that of a robot that stands."""
-        return cls(np.zeros(beams), np.zeros((beams, 3)), 0.0, np.array([0.0, 1.0]), np.zeros(1), 0.0)
+        return SweepMotion(np.zeros(beams), np.zeros((beams, 3)), 0.0, np.array([0.0, 1.0]), np.zeros(1), 0.0)
 
-    @property
+    @cached_property
     def travel(self) -> Floats:
         """(n,) metres of wheel travel between the middle and each beam."""
         return wheel_travel(self.poses)
 
-    @property
+    @cached_property
     def reach(self) -> float:
         """Metres of wheel travel between the stamp and the beam that is farthest from it."""
         return float(self.travel.max(initial=0.0)) + self.offset
