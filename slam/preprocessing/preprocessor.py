@@ -112,11 +112,13 @@ class Preprocessor:
         which show how the robot moved: a base may have booted while the robot was moving.
         """
         odometry, queue = self.odometry, self._queue
-        if len(odometry) and queue.earliest < odometry.earliest and not self._predicts_odometry:
+        if queue.is_empty or not len(odometry):  # as after most messages
+            return None
+        if queue.earliest < odometry.earliest and not self._predicts_odometry:
             if not flush and not queue.is_full and odometry.latest < odometry.earliest + EVEN_SECONDS:
                 return None
             odometry.extend_back(queue.earliest)
-        return queue.take(odometry.latest, flush=flush) if len(odometry) else None
+        return queue.take(odometry.latest, flush=flush)
 
     def process(self, pair: ScanPair, odometry_model: OdometryModel) -> ProcessedScan:
         """De-skew a scan and extract its segments, corners and the points on neither.

@@ -74,6 +74,11 @@ class ScanQueue:
         return min((queue[0].stamp for queue in (self._first, self._second) if queue), default=np.inf)
 
     @property
+    def is_empty(self) -> bool:
+        """True if no scan of either lidar waits."""
+        return not self._first and not self._second
+
+    @property
     def is_full(self) -> bool:
         """True if more scans wait than should."""
         return len(self) > MAX_QUEUED_SCANS
