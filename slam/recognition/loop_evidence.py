@@ -48,7 +48,8 @@ def check_evidence(
     location = locate(drive, known, _expected(look, decision), uncertainty)
     if location.accepted and not differ(look, location.members[-1].motion, decision.correction):
         return decision
-    reason = f"the drive as a whole does not fit there: {location.reason}"
+    where = "fits at another place" if location.accepted else "does not fit there"
+    reason = f"the drive as a whole {where}: {location.reason}"
     return replace(decision, status=LoopStatus.REJECTED, reason=reason)
 
 
