@@ -57,12 +57,13 @@ LOST = Expectation(prior=0.5, mapped=0.8, error=0.001)
 # Of a drive that looks at old places have recognised about where the estimate has it. Origin: as LOST, but looks have
 # compared what is mapped.
 RETURNED = Expectation(prior=0.5, mapped=0.0, error=0.001)
-# Likewise, at another place. Origin: error by definition, the square: a surface that both maps show is a cell of each.
-# So furniture that was moved together counts twice, and to follow it would bend the map.
-RECOGNISED = Expectation(prior=0.5, mapped=0.0, error=RETURNED.error**2)
+# Likewise, at another place. Origin: share as LOST, the right place may not be mapped yet; error by definition, the
+# square: a surface that both maps show is a cell of each. So furniture that was moved together counts twice, and to
+# follow it would bend the map.
+RECOGNISED = Expectation(prior=0.5, mapped=LOST.mapped, error=RETURNED.error**2)
 # Likewise, where the robot can only be if the estimate's covariance is wrong. Origin: definition, the share of right
 # covariances that a test at the usual level of significance takes for wrong ones.
-DOUBTED = Expectation(prior=0.05, mapped=0.0, error=RECOGNISED.error)
+DOUBTED = Expectation(prior=0.05, mapped=LOST.mapped, error=RECOGNISED.error)
 # Of a session that may overlap with another one in a part, or not. Origin: chosen, a smaller error than that of a
 # robot, whose further scans can contradict the decision.
 OVERLAP = Expectation(prior=0.5, mapped=0.0, error=0.0001)

@@ -32,13 +32,13 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
 
     original = loop_evidence.locate
     monkeypatch.setattr(loop_evidence, "locate", locate)
-    limit_drives(monkeypatch, 130.0, rate=3.0)  # the loops are closed after 122 s
+    limit_drives(monkeypatch, 130.0, rate=3.0)  # the loop is closed before
     run = run_world("large_loop", 46)
     assert run.needed
     assert run.joined
     assert [decision.status for decision in run.decisions] == [LoopStatus.ACCEPTED]
     assert run.decisions[0].error < MAX_ERROR
-    assert expectations == [DOUBTED]
+    assert set(expectations) == {DOUBTED}
 
 
 @pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8710, 8715))])
@@ -48,6 +48,13 @@ def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int) -> N
     assert any("the drive as a whole does not fit there" in decision.reason for decision in run.decisions)
     assert not run.wrong
     assert run.last_error < 0.3
+
+
+def test_an_office_that_is_not_mapped_is_not_taken_for_an_equal_one() -> None:
+    """The robot looks into the next of several equal offices, four metres beside one that it has mapped."""
+    run = run_world("equal_offices", 8852, "half-circle")
+    assert run.needed
+    assert not run.wrong
 
 
 def _scaled(function: Any) -> Any:

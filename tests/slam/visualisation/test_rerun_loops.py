@@ -26,8 +26,8 @@ from ..listeners import EventCollector
 
 pytestmark = pytest.mark.shared_run
 
-DURATION = 136.0
-"""Duration of the drive, seconds: the loop is closed after 123 s, and retracted 8 s later."""
+DURATION = 144.0
+"""Duration of the drive, seconds: the loop is closed after some 130 s, and retracted 8 s later."""
 
 
 class Logged(NamedTuple):
