@@ -17,8 +17,6 @@ WRITE_TIMEOUT = 1.0
 """Seconds; requests are a few bytes long, so a port that accepts none for this long is stuck."""
 PORT_ERRORS = (OSError, termios.error)
 """Exceptions of pyserial and the system when a port is gone; pyserial's own exceptions are OSErrors."""
-LOW_LATENCY_ERRORS = (ValueError, NotImplementedError)
-"""Exceptions of pyserial if the port or the system has no low-latency mode."""
 NO_MODEM_LINE_CODES = (errno.ENOTTY, errno.EINVAL)
 """Error codes of setting a modem line on a port that has none."""
 REASONS = {
@@ -51,7 +49,7 @@ class SerialPort:
             self._serial.port = port
             self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
             self._serial.open()
-            with suppress(*LOW_LATENCY_ERRORS):
+            with suppress(ValueError, NotImplementedError):  # the port or the system may have no such mode
                 self._serial.set_low_latency_mode(True)  # otherwise adapters delay bytes by 16 ms
         except PORT_ERRORS as error:
             raise PortError(port, _reason(error)) from error

@@ -43,8 +43,8 @@ class PosePredictor:
         self._before_slip: PoseFix | None = None  # reference before the last slip
         self._since_slip = 0.0  # seconds
         self._since_fix: float | None = None  # seconds; None if no slip is possible
-        self._odometry: se2.Pose | None = None  # at the last scan
-        self._after_gap: se2.Pose | None = None  # odometry at the first scan since the fix that showed something
+        self._last_odometry: se2.Pose | None = None  # at the last scan
+        self._odometry_after_gap: se2.Pose | None = None  # at the first scan since the fix that showed something
         self._clock, self._velocity = ScanClock(), VelocityFilter()
         self._prediction_error, self._slips = PredictionError(), SlipStatistics()
 
@@ -62,7 +62,7 @@ class PosePredictor:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
-        self._tentative = self._alternative = self._before_slip = self._after_gap = None
+        self._tentative = self._alternative = self._before_slip = self._odometry_after_gap = None
 
     def is_after_gap(self, taken: int, missing: int) -> bool:
         """Return True if the robot may have left the poses that are searched while no scan was taken.
@@ -78,10 +78,10 @@ class PosePredictor:
 
     def stood_in_gap(self, taken: int, missing: int) -> bool:
         """Return True if the wheels hardly moved in such a gap, see `is_after_gap`: the robot stood, or was carried."""
-        seen = self._odometry if self._after_gap is None else self._after_gap
-        if self._fix is None or seen is None or not self.model.measured or not self.is_after_gap(taken, missing):
+        after = self._last_odometry if self._odometry_after_gap is None else self._odometry_after_gap
+        if self._fix is None or after is None or not self.model.measured or not self.is_after_gap(taken, missing):
             return False
-        return bool(wheel_travel(self._fix.odometry_motion(seen)) <= MAX_TRAVEL)
+        return bool(wheel_travel(self._fix.odometry_motion(after)) <= MAX_TRAVEL)
 
     def correct(self, pose: se2.Pose) -> None:
         """Replace the pose of the last fix, and predict from it from now on."""
@@ -120,7 +120,7 @@ class PosePredictor:
         """
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
-        self._odometry = odometry
+        self._last_odometry = odometry
         interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
@@ -148,8 +148,8 @@ class PosePredictor:
         self._tentative = self._alternative = None
         if result.status is TrackingStatus.NO_FEATURES:
             return
-        if self._after_gap is None:
-            self._after_gap = odometry
+        if self._odometry_after_gap is None:
+            self._odometry_after_gap = odometry
         fix = PoseFix(result.pose, odometry)
         if result.status is TrackingStatus.TENTATIVE:
             self._tentative = fix
@@ -161,7 +161,7 @@ class PosePredictor:
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         self._slips.add(slipped=result.slipped)
-        self._fix, self._since_fix, self._after_gap = fix, 0.0, None
+        self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
         if result.slipped and self.model.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
         if result.slipped or not self.model.measured:  # odometry continues from here

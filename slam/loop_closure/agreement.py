@@ -161,7 +161,7 @@ class LoopAgreement:
         self._last_search, self._submaps = state.last_search, submaps
         self._searched = dict(state.searched)  # metres driven up to the last search of each place
         self._returns = list(state.returns)  # metres driven up to each look that agrees with the estimate
-        # The estimate has no support. It has in sessions of earlier versions.
+        # In sessions of earlier versions the estimate may have support, which is not used any more.
         self._estimate = LoopHypothesis(np.zeros(3), contradictions=list(state.estimate.contradictions))
         self._hypotheses = [h.copy() for h in state.hypotheses]
         self._candidates, self._retracted = state.candidates, list(state.retracted)
@@ -269,7 +269,7 @@ class LoopAgreement:
     def _judge_estimate(self, look: Look, vote: Vote, local_field: LocalField, *, is_good: bool) -> None:
         """Count a look for or against the estimate, by the match that starts there; link the places if they agree.
 
-        A match that has reached another place is none with the place where the estimate has the robot.
+        A match that has moved to another place does not show that the robot is where the estimate has it.
         """
         is_elsewhere = is_determined(vote.match) and differ(look, vote.motion, np.zeros(3))
         if is_good and not is_elsewhere:
@@ -326,7 +326,7 @@ class LoopAgreement:
 
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""
-        return Judgement(look, self._estimate, self._all_hypotheses, self._returns, self._joins)
+        return Judgement(look, self._estimate, self._hypotheses, self._returns, self._joins)
 
 
 def _support(hypothesis: LoopHypothesis, look: Look, vote: Vote) -> None:

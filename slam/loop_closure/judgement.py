@@ -18,7 +18,7 @@ class Judgement:
 
     look        last look
     estimate    hypothesis that nothing has to be corrected; it has no support
-    hypotheses  all that are followed; the estimate is one of them, except with `joins`
+    hypotheses  all others; each has support
     returns     metres driven up to each look that agrees with the estimate
     joins       true if the places are in parts of the map that are not connected with the last keyframe
     """
@@ -32,7 +32,7 @@ class Judgement:
     def accepted(self) -> LoopDecision | None:
         """Return a closure that enough looks support, that few contradict and that has no equal rival."""
         for hypothesis in self.hypotheses:
-            if not hypothesis.support or hypothesis.support[-1].keyframe != self.look.last:
+            if hypothesis.support[-1].keyframe != self.look.last:
                 continue
             consistent, checks = self._judged(hypothesis)
             rivals = self._rivals(hypothesis)

@@ -217,7 +217,8 @@ def test_scans_that_fit_badly_do_not_confirm_each_other_after_a_long_gap(
 ) -> None:
     """A robot that stands among things that were not there finds the same pose each time, which proves nothing.
 
-    In a short gap it cannot have left for a place that looks similar, and where odometry leads is another proof.
+    In a short gap it cannot have left for a place that looks similar; and poses that odometry predicts need no other
+    confirmation.
     """
     tracker, results = results_after_gap(gap, 4, FULL_ROOM, driven)
     assert all(result.poor for result in results)
