@@ -13,9 +13,9 @@ accepted if errors that are the same all along the drive explain it; see `Relati
 recognised within the uncertainty of the estimate, places are searched where the robot may be by such errors. If the
 estimate has the robot where nothing was mapped, it is not in doubt: a place that looks alike may be there.
 
-Parts of the map that are not connected are joined in the same way. Then the estimate is no hypothesis: the parts are
-where odometry has put them, and a pose that fits there is one of the matches. If looks at what the other part has seen
-fit nowhere within the uncertainty, the estimate is refuted: see `LoopAgreement.refuted`.
+Parts of the map that are not connected are joined in the same way. They are where odometry has put them, which no look
+confirms: a pose that fits there is one of the matches. If looks at what the other part has seen fit nowhere within the
+uncertainty, the estimate is refuted: see `LoopAgreement.refuted`.
 """
 
 from __future__ import annotations
@@ -39,13 +39,15 @@ from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
 from .votes import (
     Search,
-    Tested,
     Vote,
+    Votes,
+    best_at_place,
     corrects_estimate,
     find_votes,
+    is_good,
     is_recognised,
     least_quality,
-    with_better_matches,
+    vote_at,
 )
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
@@ -94,7 +96,7 @@ class LoopAgreement:
             self._submaps.places,
             tuple(self._searched.items()),
             tuple(self._returns),
-            self._estimate.copy(),
+            tuple(self._contradictions),
             tuple(hypothesis.copy() for hypothesis in self._hypotheses),
             self._candidates,
             tuple(self._retracted),
@@ -117,7 +119,7 @@ class LoopAgreement:
     @property
     def correction_likely(self) -> bool:
         """True if the last look contradicted the estimate and supported another hypothesis."""
-        contradicted = self._last_search in self._estimate.contradictions[-1:]
+        contradicted = self._last_search in self._contradictions[-1:]
         return contradicted and any(h.support[-1].travelled == self._last_search for h in self._hypotheses)
 
     @property
@@ -127,7 +129,7 @@ class LoopAgreement:
         The motion is the same all the time, so contradictions count however long ago they were. A hypothesis that its
         uncertainty excludes would never be accepted.
         """
-        return len(self._estimate.contradictions) >= MIN_INDEPENDENT and not any(h.admitted for h in self._hypotheses)
+        return len(self._contradictions) >= MIN_INDEPENDENT and not any(h.admitted for h in self._hypotheses)
 
     def number(self, decision: LoopDecision) -> LoopDecision:
         """Return a decision with the next number."""
@@ -161,8 +163,7 @@ class LoopAgreement:
         self._last_search, self._submaps = state.last_search, submaps
         self._searched = dict(state.searched)  # metres driven up to the last search of each place
         self._returns = list(state.returns)  # metres driven up to each look that agrees with the estimate
-        # In sessions of earlier versions the estimate may have support, which is not used any more.
-        self._estimate = LoopHypothesis(np.zeros(3), contradictions=list(state.estimate.contradictions))
+        self._contradictions = list(state.contradictions)  # metres driven up to each look that contradicts the estimate
         self._hypotheses = [h.copy() for h in state.hypotheses]
         self._candidates, self._retracted = state.candidates, list(state.retracted)
 
@@ -183,19 +184,17 @@ class LoopAgreement:
         self._searched = {place: at for place, at in self._searched.items() if now - at < MEMORY}
         look = Look(mapper, local_field, self._submaps, among, apart=self._joins)
         places = look.possible_places()
-        tested = [(hypothesis, self._test(look, hypothesis)) for hypothesis in self._all_hypotheses]
-        found = [] if self._is_settled(look, places, tested) else self._find(look, places)
-        tested = with_better_matches(look, tested, found)
+        votes = self._votes(look, places)
         if self._joins:
-            self._test_estimate(look, tested, found)
-        elif self._is_refuted(look) and not (self._returns or is_recognised(look, tested, found)):
+            self._test_estimate(look, votes)
+        elif self._is_refuted(look) and not (self._returns or is_recognised(look, votes.all)):
             look = look.doubting_estimate()
             places = look.possible_places()
-            beyond = self._find(look, places, DOUBTED_PLACES)
+            beyond, found = self._find(look, places, DOUBTED_PLACES), votes.found
             found += [vote for vote in beyond if all(differ(look, vote.motion, other.motion) for other in found)]
         if not places:
             return None
-        self._vote(look, tested, found, local_field)
+        self._vote(look, votes, local_field)
         unsearched = any(place not in self._searched for place in places)  # one of them may be a rival
         decision = None if unsearched else self._accepted(look)
         if decision is None or self._is_excluded(look, decision.correction):
@@ -209,23 +208,33 @@ class LoopAgreement:
 
     def _is_refuted(self, look: Look) -> bool:
         """Return True if looks contradict the estimate: the robot is at another place, however certain it may be."""
-        return self._estimate.contradictions_since(look.travelled - MEMORY) >= MIN_INDEPENDENT
+        return sum(at >= look.travelled - MEMORY for at in self._contradictions) >= MIN_INDEPENDENT
 
-    def _test_estimate(self, look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> None:
+    def _votes(self, look: Look, places: Sequence[int]) -> Votes:
+        """Match a look where the estimate and each hypothesis have the robot, and search it at old places."""
+        at_estimate = None if self._joins else vote_at(look, np.zeros(3), look.last)
+        tested = [(h, vote_at(look, h.motion, h.support[-1].keyframe)) for h in self._hypotheses]
+        found = [] if self._is_settled(look, places, at_estimate) else self._find(look, places)
+        return Votes(
+            None if at_estimate is None else best_at_place(look, at_estimate, found),
+            [(hypothesis, best_at_place(look, vote, found)) for hypothesis, vote in tested if vote is not None],
+            found,
+        )
+
+    def _test_estimate(self, look: Look, votes: Votes) -> None:
         """Count a look as a contradiction of the motion between two parts if it fits nowhere within its uncertainty.
 
         A look at what the other part has not seen is none.
         """
-        vote = self._test(look, self._estimate)
+        vote = vote_at(look, np.zeros(3), look.last)
         if vote is None or vote.match.known < MIN_KNOWN:
             return
-        if not is_recognised(look, [*tested, (self._estimate, vote)], found):
-            self._estimate.contradictions.append(look.travelled)
+        if not is_recognised(look, [vote, *votes.all]):
+            self._contradictions.append(look.travelled)
 
-    def _is_settled(self, look: Look, places: Sequence[int], tested: Sequence[Tested]) -> bool:
-        """Return True if the look agrees with the estimate, which is certain: other places need not be searched."""
-        votes = [vote for hypothesis, vote in tested if hypothesis is self._estimate and vote is not None]
-        agrees = any(fits(v.match) and is_determined(v.match) and look.agrees(v.old, v.match) for v in votes)
+    def _is_settled(self, look: Look, places: Sequence[int], vote: Vote | None) -> bool:
+        """Return True if the vote at the estimate agrees with it, and it is certain: other places need no search."""
+        agrees = vote is not None and is_good(vote) and look.agrees(vote.old, vote.match)
         settled = agrees and all(look.uncertainty.is_certain(place) for place in places)
         if settled:
             self._searched |= dict.fromkeys(places, look.travelled)
@@ -237,27 +246,21 @@ class LoopAgreement:
         self._searched |= dict.fromkeys(chosen, look.travelled)
         return find_votes(look, chosen, self._search_place)
 
-    def _vote(self, look: Look, tested: Sequence[Tested], found: Sequence[Vote], local_field: LocalField) -> None:
-        """Let a look support or contradict all hypotheses, and propose new ones.
-
-        tested  all hypotheses, with the look's match where each has the robot
-        found   the matches with old places, wherever the robot may be
-        """
-        corrections = [
-            vote for h, vote in tested if h is self._estimate and vote is not None and corrects_estimate(look, vote)
-        ]
-        followed = [vote.motion for h, vote in tested if h is not self._estimate and vote is not None]
-        new = [vote for vote in (*found, *corrections) if all(differ(look, vote.motion, motion) for motion in followed)]
-        least = least_quality([*new, *(vote for _, vote in tested if vote is not None and fits(vote.match))])
-        for hypothesis, vote in tested:
-            if vote is None:
-                continue
-            is_good = fits(vote.match) and vote.match.quality >= least
-            if hypothesis is self._estimate:
-                self._judge_estimate(look, vote, local_field, is_good=is_good)
-            elif is_good and is_determined(vote.match):
+    def _vote(self, look: Look, votes: Votes, local_field: LocalField) -> None:
+        """Let a look support or contradict the estimate and all hypotheses, and propose new ones."""
+        followed, found = [vote.motion for _, vote in votes.tested], list(votes.found)
+        if votes.at_estimate is not None and corrects_estimate(look, votes.at_estimate):
+            found.append(votes.at_estimate)
+        new = [vote for vote in found if all(differ(look, vote.motion, motion) for motion in followed)]
+        others = (votes.at_estimate, *(vote for _, vote in votes.tested))
+        least = least_quality([*new, *(vote for vote in others if vote is not None and fits(vote.match))])
+        if votes.at_estimate is not None:
+            self._judge_estimate(look, votes.at_estimate, least, local_field)
+        for hypothesis, vote in votes.tested:
+            supports = fits(vote.match) and vote.match.quality >= least
+            if supports and is_determined(vote.match):
                 _support(hypothesis, look, vote)
-            elif not is_good and vote.match.known >= MIN_KNOWN:
+            elif not supports and vote.match.known >= MIN_KNOWN:
                 hypothesis.contradictions.append(look.travelled)
         for vote in new:
             if vote.match.quality >= least:
@@ -266,20 +269,22 @@ class LoopAgreement:
                 self._hypotheses.append(hypothesis)
         self._merge_equal(look)
 
-    def _judge_estimate(self, look: Look, vote: Vote, local_field: LocalField, *, is_good: bool) -> None:
+    def _judge_estimate(self, look: Look, vote: Vote, least: float, local_field: LocalField) -> None:
         """Count a look for or against the estimate, by the match that starts there; link the places if they agree.
 
         A match that has moved to another place does not show that the robot is where the estimate has it.
+        `least` is the quality that it needs.
         """
-        is_elsewhere = is_determined(vote.match) and differ(look, vote.motion, np.zeros(3))
-        if is_good and not is_elsewhere:
-            if is_determined(vote.match) and look.agrees(vote.old, vote.match):
+        determined = is_determined(vote.match)
+        is_elsewhere = determined and differ(look, vote.motion, np.zeros(3))
+        if fits(vote.match) and vote.match.quality >= least and not is_elsewhere:
+            if determined and look.agrees(vote.old, vote.match):
                 local_field.link(vote.old, look.last)
                 self._returns.append(look.travelled)
                 self.returns.append(Return.of(look, vote.old, vote.match))
-                self._estimate = LoopHypothesis(np.zeros(3))
+                self._contradictions = []
         elif vote.match.known >= MIN_KNOWN:
-            self._estimate.contradictions.append(look.travelled)
+            self._contradictions.append(look.travelled)
 
     def _merge_equal(self, look: Look) -> None:
         """Keep one, that with the most support, of the hypotheses that have converged to the same motion.
@@ -293,19 +298,6 @@ class LoopAgreement:
             if all(differ(look, hypothesis.motion, motion) for motion in others):
                 kept.append(hypothesis)
         self._hypotheses = kept
-
-    @property
-    def _all_hypotheses(self) -> list[LoopHypothesis]:
-        return self._hypotheses if self._joins else [self._estimate, *self._hypotheses]
-
-    def _test(self, look: Look, hypothesis: LoopHypothesis) -> Vote | None:
-        """Return the match of a look with the place where a hypothesis has the robot, if there is one."""
-        old = look.place_at(se2.compose(hypothesis.motion, look.pose))
-        if old is None:
-            return None
-        since = hypothesis.support[-1].keyframe if hypothesis.support else look.last
-        match = look.test(old, hypothesis.motion, since)
-        return Vote(old, match, look.motion(old, match.pose))
 
     def _note_rejections(self, look: Look) -> None:
         """Keep, for reports, why the hypotheses that the look supports are not accepted."""
@@ -326,7 +318,7 @@ class LoopAgreement:
 
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""
-        return Judgement(look, self._estimate, self._hypotheses, self._returns, self._joins)
+        return Judgement(look, self._contradictions, self._hypotheses, self._returns, self._joins)
 
 
 def _support(hypothesis: LoopHypothesis, look: Look, vote: Vote) -> None:

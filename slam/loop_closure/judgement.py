@@ -16,15 +16,15 @@ from .submap_search import SUBMAP_LENGTH
 class Judgement:
     """Judgement of hypotheses by their support, the contradictions and their rivals.
 
-    look        last look
-    estimate    hypothesis that nothing has to be corrected; it has no support
-    hypotheses  all others; each has support
-    returns     metres driven up to each look that agrees with the estimate
-    joins       true if the places are in parts of the map that are not connected with the last keyframe
+    look            last look
+    contradictions  metres driven up to each look that contradicts the estimate
+    hypotheses      with at least one look each that supports them
+    returns         metres driven up to each look that agrees with the estimate
+    joins           true if the places are in parts of the map that are not connected with the last keyframe
     """
 
     look: Look
-    estimate: LoopHypothesis
+    contradictions: Sequence[float]
     hypotheses: Sequence[LoopHypothesis]
     returns: Sequence[float]
     joins: bool
@@ -68,7 +68,7 @@ class Judgement:
     ) -> LoopDecision:
         """Return the decision to close the loop of a hypothesis."""
         count, first = len(hypothesis.support), hypothesis.support[0].travelled
-        doubted = min([first, *self.estimate.contradictions])
+        doubted = min([first, *self.contradictions])
         return confirm(
             self.look,
             hypothesis,

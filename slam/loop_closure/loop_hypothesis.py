@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
@@ -17,7 +15,7 @@ from .decision import LoopDecision, LoopMatch
 class LoopHypothesis:
     """Motion [x, y, heading] that would move the robot in the map, with the looks for and against it.
 
-    support         latest match of each look that supports it
+    support         at least one: latest match of each look that supports it
     contradictions  metres driven up to each look that contradicts it
     rejection       decision against it at the last look that supports it, for reports; not stored in sessions
     admitted        true unless the estimate's uncertainty excludes its closure at the last look that supports it
@@ -63,21 +61,21 @@ class OldPlace:
 class LoopAgreementState:
     """State of the search for agreement, as it is saved with a session.
 
-    last_search  metres driven up to the last look
-    places       submaps of the last old places, by the keyframe in their middle, in the order in which they were built
-    searched     metres driven up to the last search of each place, by the keyframe in its middle
-    returns      metres driven up to each look that agrees with the estimate
-    estimate     the hypothesis that the estimate is right, without support
-    hypotheses   all others; each has support
-    candidates   number of closures so far
-    retracted    motions of retracted closures, which are not accepted again
+    last_search     metres driven up to the last look
+    places          submaps of the last old places, by the keyframe in their middle, in the order of building
+    searched        metres driven up to the last search of each place, by the keyframe in its middle
+    returns         metres driven up to each look that agrees with the estimate
+    contradictions  metres driven up to each look that contradicts the estimate, since the last return
+    hypotheses      with at least one look each that supports them
+    candidates      number of closures so far
+    retracted       motions of retracted closures, which are not accepted again
     """
 
     last_search: float = 0.0
     places: Sequence[tuple[int, OldPlace]] = ()
     searched: Sequence[tuple[int, float]] = ()
     returns: Sequence[float] = ()
-    estimate: LoopHypothesis = field(default_factory=lambda: LoopHypothesis(np.zeros(3)))
+    contradictions: Sequence[float] = ()
     hypotheses: Sequence[LoopHypothesis] = ()
     candidates: int = 0
     retracted: Sequence[se2.Pose] = ()
@@ -85,7 +83,7 @@ class LoopAgreementState:
     @property
     def keyframes(self) -> list[int]:
         """Numbers of all keyframes that it refers to."""
-        matches = [match for hypothesis in (self.estimate, *self.hypotheses) for match in hypothesis.support]
+        matches = [match for hypothesis in self.hypotheses for match in hypothesis.support]
         of_places = [k for centre, place in self.places for k in (centre, *place.keyframes.tolist())]
         of_places += [keyframe for keyframe, _ in self.searched]
         return [*of_places, *(k for match in matches for k in (match.keyframe, match.old))]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -32,51 +32,79 @@ class Vote:
     motion: se2.Pose
 
 
-Tested: TypeAlias = tuple[LoopHypothesis, Vote | None]
-"""A hypothesis, and the match where it has the robot, if a place was mapped there."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Votes:
+    """All votes of a look.
+
+    at_estimate  that of the match which starts where the estimate has the robot; None if no place was mapped there, or
+                 if parts of the map are to be joined
+    tested       hypotheses with the votes of the matches that start where they have the robot
+    found        those of the search at old places
+    """
+
+    at_estimate: Vote | None
+    tested: list[tuple[LoopHypothesis, Vote]]
+    found: list[Vote]
+
+    @property
+    def all(self) -> list[Vote]:
+        """All of them."""
+        at_estimate = [] if self.at_estimate is None else [self.at_estimate]
+        return [*self.found, *at_estimate, *(vote for _, vote in self.tested)]
+
+
+def vote_at(look: Look, motion: se2.Pose, since: int) -> Vote | None:
+    """Return the vote of a look where a motion in the map has the robot; None if no place was mapped there.
+
+    since  keyframe of the last look that supports the motion, see `Look.test`
+    """
+    old = look.place_at(se2.compose(motion, look.pose))
+    if old is None:
+        return None
+    match = look.test(old, motion, since)
+    return Vote(old, match, look.motion(old, match.pose))
+
+
+def is_good(vote: Vote) -> bool:
+    """Return True if the match of a vote fits and determines the position."""
+    return fits(vote.match) and is_determined(vote.match)
 
 
 def find_votes(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
     """Return the votes for distinct motions, those with the best matches first."""
     found = [(old, match) for old in places for match in search(look, old)]
-    votes = [Vote(old, m, look.motion(old, m.pose)) for old, m in found if fits(m) and is_determined(m)]
+    votes = [Vote(old, match, look.motion(old, match.pose)) for old, match in found]
     distinct: list[Vote] = []
-    for vote in sorted(votes, key=lambda vote: -vote.match.score):
+    for vote in sorted(filter(is_good, votes), key=lambda vote: -vote.match.score):
         if all(differ(look, vote.motion, other.motion) for other in distinct):
             distinct.append(vote)
     return distinct
 
 
-def with_better_matches(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> list[Tested]:
-    """Return tested hypotheses with the best match at the place of each, which may be one that the search has found.
+def best_at_place(look: Look, vote: Vote, found: Iterable[Vote]) -> Vote:
+    """Return a vote, or that one of the search at the same place that matches better.
 
     The match near a hypothesis may be a local minimum, such as the next door frame of a corridor.
     """
-    better = list[Tested]()
-    for hypothesis, vote in tested:
-        if vote is not None:
-            same = [vote, *(other for other in found if not differ(look, vote.motion, other.motion))]
-            vote = max(same, key=lambda vote: vote.match.score)
-        better.append((hypothesis, vote))
-    return better
+    same = [vote, *(other for other in found if not differ(look, vote.motion, other.motion))]
+    return max(same, key=lambda vote: vote.match.score)
 
 
 def corrects_estimate(look: Look, vote: Vote) -> bool:
     """Return True if a vote of the match that starts at the estimate implies a correction of it."""
-    if not fits(vote.match) or not is_determined(vote.match) or look.agrees(vote.old, vote.match):
+    if not is_good(vote) or look.agrees(vote.old, vote.match):
         return False
     return look.admits(vote.old, vote.match.pose) or not differ(look, vote.motion, np.zeros(3))
 
 
-def is_recognised(look: Look, tested: Sequence[Tested], found: Sequence[Vote]) -> bool:
+def is_recognised(look: Look, votes: Iterable[Vote]) -> bool:
     """Return True if the look fits an old place at a pose for which the estimate's uncertainty admits a closure.
 
     A place that fits clearly less than another one does not count: a corridor fits badly all along itself.
     """
-    fitting = [*found, *(vote for _, vote in tested if vote is not None and fits(vote.match))]
+    fitting = [vote for vote in votes if fits(vote.match)]
     least = least_quality(fitting)
-    good = [vote for vote in fitting if vote.match.quality >= least]
-    return any(admits_closure(look, vote.old, vote.match.pose) for vote in good)
+    return any(vote.match.quality >= least and admits_closure(look, vote.old, vote.match.pose) for vote in fitting)
 
 
 def least_quality(votes: Sequence[Vote]) -> float:

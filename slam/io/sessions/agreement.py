@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, AliasChoices, AliasPath, Field
 
 from ...loop_closure.decision import LoopMatch
 from ...loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
@@ -30,13 +30,9 @@ class _Match(Record):
 
 class _Hypothesis(Record):
     motion: Pose
-    support: list[_Match]
+    support: list[_Match] = Field(min_length=1)
     contradictions: list[Finite]
     admitted: bool = True  # earlier versions have not written it
-
-
-class _SupportedHypothesis(_Hypothesis):
-    support: list[_Match] = Field(min_length=1)
 
 
 class _Place(Record):
@@ -52,8 +48,11 @@ class AgreementRecord(Record):
     places: list[_Place]
     searched: list[tuple[int, Finite]]
     returns: list[Finite]
-    estimate: _Hypothesis
-    hypotheses: list[_SupportedHypothesis]
+    # In earlier versions the estimate was a hypothesis.
+    contradictions: list[Finite] = Field(
+        validation_alias=AliasChoices("contradictions", AliasPath("estimate", "contradictions"))
+    )
+    hypotheses: list[_Hypothesis]
     candidates: int
     retracted: list[Pose]
 
@@ -68,8 +67,8 @@ def agreement_record(state: LoopAgreementState) -> AgreementRecord:
         ],
         searched=list(state.searched),
         returns=list(state.returns),
-        estimate=_Hypothesis(**_fields(state.estimate)),
-        hypotheses=[_SupportedHypothesis(**_fields(hypothesis)) for hypothesis in state.hypotheses],
+        contradictions=list(state.contradictions),
+        hypotheses=[_Hypothesis(**_fields(hypothesis)) for hypothesis in state.hypotheses],
         candidates=state.candidates,
         retracted=[to_pose(motion) for motion in state.retracted],
     )
@@ -87,7 +86,7 @@ def agreement_state(record: AgreementRecord) -> LoopAgreementState:
         places,
         record.searched,
         record.returns,
-        _hypothesis(record.estimate),
+        record.contradictions,
         hypotheses,
         record.candidates,
         [np.array(motion) for motion in record.retracted],

@@ -33,6 +33,8 @@ MATCH = {
     "fit": 0.9,
     "known": 0.8,
 }
+# Hypothesis of loop closure in `session.json`.
+HYPOTHESIS = {"motion": [0.0, 0.0, 0.0], "support": [MATCH], "contradictions": []}
 
 
 def test_directory_without_session_is_refused(tmp_path: Path) -> None:
@@ -64,9 +66,13 @@ def test_session_of_another_version_is_refused(intact: Path, tmp_path: Path, ver
         (["checkpoint", "tracker", "repeated_slips"], 10**6, "checkpoint.tracker: the numbers of scans"),
         (["checkpoint", "tracker", "last_score"], None, "checkpoint.tracker.last_score: Input should be a"),
         (["segment_starts"], [-1], "segment_starts: there are"),
-        (["agreement", "estimate", "support"], [MATCH | {"old": 10**6}], "agreement: there are"),
-        (["agreement", "estimate", "support"], [MATCH | {"covariance": [[0.0] * 3] * 3}], "agreement.estimate.support"),
-        (["agreement", "hypotheses"], [{"motion": [0.0] * 3, "support": [], "contradictions": []}], "agreement.hypoth"),
+        (["agreement", "hypotheses"], [HYPOTHESIS | {"support": [MATCH | {"old": 10**6}]}], "agreement: there are"),
+        (
+            ["agreement", "hypotheses"],
+            [HYPOTHESIS | {"support": [MATCH | {"covariance": [[0.0] * 3] * 3}]}],
+            "agreement.hypotheses.0.support",
+        ),
+        (["agreement", "hypotheses"], [HYPOTHESIS | {"support": []}], "agreement.hypotheses.0.support"),
         (["sigma"], 1, "sigma: Extra inputs are not permitted"),
     ],
 )

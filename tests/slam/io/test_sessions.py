@@ -82,9 +82,8 @@ def test_agreement_on_a_loop_is_read_back(written: tuple[StoredSession, Path], t
     random, state = np.random.default_rng(0), session.slam_state
     match = LoopMatch(3, 1, random.normal(size=3), np.diag([0.01, 0.02, 0.003]), 1.25, 0.9, 0.7)
     place = OldPlace(np.array([0, 1, 2]), random.normal(size=(3, 3)))
-    estimate = LoopHypothesis(np.zeros(3), contradictions=[0.5])
     hypothesis = LoopHypothesis(random.normal(size=3), [match], [0.25], admitted=False)
-    expected = LoopAgreementState(1.75, [(1, place)], [(1, 1.5)], [0.25, 0.75], estimate, [hypothesis], 3, [np.ones(3)])
+    expected = LoopAgreementState(1.75, [(1, place)], [(1, 1.5)], [0.25, 0.75], [0.5], [hypothesis], 3, [np.ones(3)])
     state.loops.restore(expected, state.local_field)
     write_directory(tmp_path / "out", session)
     restored = read_session(tmp_path / "out").slam_state.loops.state
@@ -95,13 +94,23 @@ def test_agreement_on_a_loop_is_read_back(written: tuple[StoredSession, Path], t
     assert centre == 1
     np.testing.assert_array_equal(same.keyframes, place.keyframes)
     np.testing.assert_array_equal(same.poses, place.poses)
-    assert restored.estimate.contradictions == [0.5]
+    assert restored.contradictions == (0.5,)
     (same_hypothesis,) = restored.hypotheses
     np.testing.assert_array_equal(same_hypothesis.motion, hypothesis.motion)
     assert (same_hypothesis.contradictions, same_hypothesis.admitted) == ([0.25], False)
     (saved,) = same_hypothesis.support
     for name in LoopMatch.__slots__:
         np.testing.assert_array_equal(getattr(saved, name), getattr(match, name), err_msg=name)
+
+
+def test_contradictions_are_read_from_earlier_versions(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """The estimate was a hypothesis in them."""
+    header = shutil.copytree(written[1], tmp_path / "out") / SESSION / HEADER
+    data = json.loads(header.read_text())
+    del data["agreement"]["contradictions"]
+    data["agreement"]["estimate"] = {"motion": [0.0] * 3, "support": [], "contradictions": [0.5]}
+    header.write_text(json.dumps(data))
+    assert read_session(tmp_path / "out").slam_state.loops.state.contradictions == (0.5,)
 
 
 def test_scans_are_read_back(written: tuple[StoredSession, Path]) -> None:

@@ -19,7 +19,7 @@ from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
 from slam.loop_closure.submap_search import SUBMAP_LENGTH, SubmapMatch
-from slam.loop_closure.votes import Vote
+from slam.loop_closure.votes import Vote, Votes
 from slam.mapping.landmarks import Landmarks
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
@@ -232,11 +232,11 @@ def test_match_that_leaves_the_estimate_supports_the_hypothesis_of_the_place_tha
     look, matches = matches_along_a_hall(StubMap(np.diag([1.0, 1.0, 0.1]) ** 2), [0.0] * 5)
     agreement, motion = LoopAgreement(), np.array([0.6, 0.2, 0.0])
     agreement.restore(LoopAgreementState(hypotheses=[LoopHypothesis(motion, list(matches))]), LocalField())
-    estimate, hypothesis = agreement._all_hypotheses
-    agreement._vote(look, [(estimate, vote_for(motion)), (hypothesis, vote_for(motion))], [], LocalField())
+    (hypothesis,) = agreement._hypotheses
+    agreement._vote(look, Votes(vote_for(motion), [(hypothesis, vote_for(motion))], []), LocalField())
     (followed,) = agreement.state.hypotheses
     assert [match.travelled for match in followed.support] == [*(match.travelled for match in matches), look.travelled]
-    assert agreement.state.estimate.contradictions == [look.travelled]
+    assert agreement.state.contradictions == (look.travelled,)
 
 
 @pytest.mark.parametrize(("contradicted", "accepted"), [([], False), ([40.0, 46.0, 52.0, 58.0], True)])
@@ -246,10 +246,9 @@ def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
     """The looks agree on a motion of 3.5 standard deviations."""
     motion = np.array([1.1, 0.0, 0.0])
     look, matches = matches_along_a_hall(StubMap(np.diag([0.1, 0.1, 0.02]) ** 2), [motion[0]] * 5)
-    estimate, hypothesis = LoopHypothesis(np.zeros(3), [], contradicted), LoopHypothesis(motion, matches)
-    agreement = LoopAgreement()
-    agreement.restore(LoopAgreementState(estimate=estimate, hypotheses=[hypothesis]), LocalField())
-    agreement._vote(look, [(agreement._all_hypotheses[1], vote_for(motion))], [], LocalField())
+    hypothesis, agreement = LoopHypothesis(motion, matches), LoopAgreement()
+    agreement.restore(LoopAgreementState(contradictions=contradicted, hypotheses=[hypothesis]), LocalField())
+    agreement._vote(look, Votes(None, [(agreement._hypotheses[0], vote_for(motion))], []), LocalField())
     decision = agreement._accepted(look)
     assert (decision is not None) == accepted
     assert decision is None or decision.doubted
@@ -258,11 +257,10 @@ def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
 def test_match_that_corrects_the_estimate_a_little_is_a_hypothesis_and_no_contradiction() -> None:
     look, _ = matches_along_a_hall(StubMap(np.diag([0.3, 0.3, 0.03]) ** 2), [0.0] * 5)
     agreement = LoopAgreement()
-    (estimate,) = agreement._all_hypotheses
-    agreement._vote(look, [(estimate, vote_for(np.array([0.4, 0.0, 0.0])))], [], LocalField())
+    agreement._vote(look, Votes(vote_for(np.array([0.4, 0.0, 0.0])), [], []), LocalField())
     (proposed,) = agreement.state.hypotheses
     assert proposed.motion[0] == 0.4
-    assert not agreement.state.estimate.contradictions
+    assert not agreement.state.contradictions
 
 
 def test_looks_that_contradict_the_others_do_not_count() -> None:

@@ -11,7 +11,7 @@ import pytest
 from drivers import se2
 from slam.loop_closure.criteria import MAX_CLOSED_DISTANCE
 from slam.loop_closure.submap_search import SubmapMatch
-from slam.loop_closure.votes import Vote, is_recognised, with_better_matches
+from slam.loop_closure.votes import Vote, best_at_place, is_recognised
 
 NEAR, FAR = np.zeros(3), np.array([3.0, 0.0, 0.0])  # the estimate admits a closure at the first place only
 
@@ -36,17 +36,13 @@ def vote_at(pose: se2.Pose, fit: float) -> Vote:
 )
 def test_a_place_is_recognised_if_no_other_one_fits_clearly_better(votes: list[Vote], recognised: bool) -> None:
     look: Any = SimpleNamespace(squared_distance=squared_distance)
-    assert is_recognised(look, [], votes) == recognised
-    hypothesis: Any = object()
-    assert is_recognised(look, [(hypothesis, vote) for vote in votes], []) == recognised
+    assert is_recognised(look, votes) == recognised
 
 
 def test_better_match_at_the_same_place_replaces_that_near_a_hypothesis() -> None:
     """Gauss-Newton may stop at the next door frame; the search has found the right one."""
     look: Any = SimpleNamespace(pose=np.zeros(3))
-    hypothesis: Any = object()
     near, better = vote_at(np.array([0.4, 0.0, 0.0]), 0.8), vote_at(NEAR, 0.97)
     elsewhere = vote_at(FAR, 0.99)
-    assert with_better_matches(look, [(hypothesis, near)], [elsewhere, better]) == [(hypothesis, better)]
-    assert with_better_matches(look, [(hypothesis, better)], [elsewhere, near]) == [(hypothesis, better)]
-    assert with_better_matches(look, [(hypothesis, None)], [better]) == [(hypothesis, None)]
+    assert best_at_place(look, near, [elsewhere, better]) is better
+    assert best_at_place(look, better, [elsewhere, near]) is better
