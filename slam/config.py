@@ -239,6 +239,8 @@ def _validated(data: dict[str, Any], place: str) -> Config:
             reason = "must be a group of settings"
         elif first["type"] == "extra_forbidden":
             reason = f"no such setting; known are {', '.join(_names(first['loc'][:-1]))}"
+        elif first["type"] == "tuple_type":
+            reason = "must be a list of numbers, e.g. [0.1,0,0]"
         raise ConfigurationError(f"{place}: {name}: {reason}") from error
 
 

@@ -30,7 +30,7 @@ class MissingExtraError(SlamError):
     """A package of an extra is not installed."""
 
     def __init__(self, extra: str, package: str) -> None:
-        super().__init__(f"{package} is not installed; needs the extra '{extra}': pip install wclm-slam[{extra}]")
+        super().__init__(f"{package} is not installed; needs the extra '{extra}': pip install 'wclm-slam[{extra}]'")
 
 
 class PoseGraphError(SlamError):

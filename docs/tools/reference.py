@@ -29,7 +29,7 @@ def commands() -> str:
     command = get_command(app)
     _set_short_help(command)
     text = get_docs_for_click(obj=command, ctx=typer.Context(command, info_name="wclm"), name="wclm", title="Commands")
-    text = re.sub(r"\[bold\](.*?)\[/bold\]", r"`\1`", text)
+    text = re.sub(r"\[bold\](.*?)\[/bold\]", r"`\1`", text).replace(r"\[", "[")
     return f"{WRITTEN}\n\n{text.strip()}\n"
 
 
@@ -104,6 +104,8 @@ def _allowed(value: dict[str, Any]) -> str:
         return f"{value['minItems']} numbers"
     if value["type"] == "boolean":
         return "`true`, `false`"
+    if value["type"] == "string":
+        return "text"
     names = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
     return ", ".join(f"{sign} {value[name]:g}" for name, sign in names.items() if name in value) or "any number"
 

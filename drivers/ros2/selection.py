@@ -27,8 +27,8 @@ PACKAGES = {Backend.RCLPY: "rclpy", Backend.ZENOH: "zenoh", Backend.DDS: "cyclon
 """Python package that each kind needs."""
 INSTALL = {
     Backend.RCLPY: "source the setup of ROS 2 first, for the same version of Python",
-    Backend.ZENOH: "pip install wclm-slam[ros2]",
-    Backend.DDS: "pip install wclm-slam[ros2]; there are wheels for x86_64",
+    Backend.ZENOH: "pip install 'wclm-slam[ros2]'",
+    Backend.DDS: "pip install 'wclm-slam[ros2]'; there are wheels for x86_64",
 }
 
 

@@ -39,6 +39,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ("odometry.rotation_floor=1e300", "odometry.rotation_floor: input should be less than or equal to 1000"),
         ("lidar.range_max=0.01", "lidar: range_min (0.05) must be less than range_max (0.01)"),
         ("lidar.mount=[1, 2]", "lidar.mount.2: field required"),
+        ("lidar.mount=1,2,3", "lidar.mount: must be a list of numbers, e.g. [0.1,0,0]"),
         ("features.estimator=best", "features.estimator: input should be 'wclm-ml'"),
         ("lidar=3", "--set lidar=3: must have the form group.key=value"),
         ("sigma_range=3", "must have the form group.key=value"),

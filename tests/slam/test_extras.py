@@ -13,7 +13,7 @@ from slam.errors import MissingExtraError
 def test_missing_package_names_its_extra(monkeypatch: pytest.MonkeyPatch, extra: str, package: str) -> None:
     extras.require_extra(extra)
     monkeypatch.setattr(extras, "find_spec", lambda name: None)
-    message = rf"^{package} is not installed; needs the extra '{extra}': pip install wclm-slam\[{extra}\]$"
+    message = rf"^{package} is not installed; needs the extra '{extra}': pip install 'wclm-slam\[{extra}\]'$"
     with pytest.raises(MissingExtraError, match=message):
         extras.require_extra(extra)
 

@@ -24,11 +24,11 @@ def calibrate(
     ],
     wheel_radius: Annotated[
         float | None,
-        typer.Option("--wheel-radius", min=0.0, help="Wheel radius in metres with which the odometry was recorded."),
+        typer.Option("--wheel-radius", min=0.001, help="Wheel radius in metres with which the odometry was recorded."),
     ] = None,
     track: Annotated[
         float | None,
-        typer.Option("--track", min=0.0, help="Distance between the wheels in metres, of the recorded odometry."),
+        typer.Option("--track", min=0.001, help="Distance between the wheels in metres, of the recorded odometry."),
     ] = None,
     config: ConfigOption = None,
     settings: SetOption = None,
@@ -45,6 +45,7 @@ def calibrate(
     import drivers
 
     from ...config import load_config
+    from ...errors import MapError
     from ...io.recording_timing import RecordingTiming
     from ...io.recordings import lidar_selection
     from ...offline.calibration.extrinsics import calibrate as estimate
@@ -52,7 +53,10 @@ def calibrate(
     effective = load_config(config, settings or ())
     source = drivers.open(recording, lidar_selection(effective.lidar))
     timing = RecordingTiming.of(source, effective.lidar)
-    result = estimate(progress(source, len(source), "reading"), timing.compensated(effective))
+    try:
+        result = estimate(progress(source, len(source), "reading"), timing.compensated(effective))
+    except MapError as error:
+        raise MapError(f"{recording}: {error}") from error
     typer.echo("\n".join([*_lines(result), *_timing_lines(timing)]))
     if wheel_radius is not None and track is not None:
         typer.echo(_options(result, wheel_radius, track))

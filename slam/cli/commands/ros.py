@@ -87,7 +87,7 @@ def ros(
 ) -> None:
     """Map online as a node of ROS 2, with the topics, parameters and services of slam_toolbox.
 
-    ROS 2 need not be installed beside this package: `pip install wclm-slam[ros2]`.
+    ROS 2 need not be installed beside this package: `pip install 'wclm-slam[ros2]'`.
 
     Example: [bold]wclm ros --params-file mapper_params_online_async.yaml --out map[/bold]
     """

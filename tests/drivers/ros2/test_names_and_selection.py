@@ -53,7 +53,7 @@ def test_link_is_chosen(monkeypatch: pytest.MonkeyPatch, installed: set[str], rm
 
 def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(selection, "find_spec", lambda name: None)
-    with pytest.raises(DriverError, match=r"RMW_IMPLEMENTATION=rmw_zenoh_cpp: pip install wclm-slam\[ros2\]"):
+    with pytest.raises(DriverError, match=r"RMW_IMPLEMENTATION=rmw_zenoh_cpp: pip install 'wclm-slam\[ros2\]'"):
         choose_backend({"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
     with pytest.raises(DriverError, match="cyclonedds is not installed"):
         open_link(NodeNames(), Backend.DDS)

@@ -64,6 +64,10 @@ def test_every_command_has_usage_and_example(wclm: Any, command: str) -> None:
     assert command == "bench" or f"Example: wclm {command}" in text
 
 
+def test_help_shows_brackets_that_are_no_markup(wclm: Any) -> None:
+    assert "pip install 'wclm-slam[ros2]'" in " ".join(ESCAPES.sub("", wclm("ros", "--help").stdout).split())
+
+
 def test_version_prints_all_versions(wclm: Any) -> None:
     result = wclm("--version")
     assert result.exit_code == 0
@@ -347,6 +351,16 @@ def short_demo(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_viewer_that_cannot_be_started_is_a_one_line_message(capsys: pytest.CaptureFixture[str]) -> None:
     viewer.open_viewer(["/nowhere/rerun"])
     assert capsys.readouterr().err.startswith("wclm: the viewer cannot be started: ")
+
+
+def test_calibrate_names_the_recording_that_it_cannot_use(wclm: Any) -> None:
+    recording = "sim:room?duration=0.5"
+    wclm.refuses("calibrate", recording, because=[f"{recording}: ", "too few to calibrate from"])
+
+
+@pytest.mark.parametrize("option", ["--wheel-radius", "--track"])
+def test_calibrate_refuses_wheels_without_a_size(wclm: Any, option: str) -> None:
+    wclm.refuses("calibrate", "drive.mcap", option, "0", because=[option, "greater than"])
 
 
 def test_calibrate_states_why_a_delay_is_not_compensated(wclm: Any, tmp_path: Path) -> None:
