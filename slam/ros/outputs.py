@@ -70,6 +70,7 @@ class _RunState:
     """What has been published in a run.
 
     extrapolator     extrapolates the pose of the last scan
+    localised        True once the robot was not LOST: before that, the map's frame is unknown
     transform_stamp  stamp of the last odometry reading with a transform, `status_stamp` that of the last status
     counts           sizes of map and graph
     frozen           True while the map is only localised in
@@ -77,6 +78,7 @@ class _RunState:
     """
 
     extrapolator: PoseExtrapolator = field(default_factory=PoseExtrapolator)
+    localised: bool = False
     transform_stamp: float = float("-inf")
     status_stamp: float = float("-inf")
     status: LocalisationStatus = LocalisationStatus.OK
@@ -177,7 +179,8 @@ class NodeOutputs:
 
         The pose is that of the last scan, extrapolated by odometry; there is none while the robot is lost. The
         transform is stamped later than the reading by transform_timeout, and not published more often than
-        transform_publish_period says. Nothing is published before the first scan.
+        transform_publish_period says. Nothing is published before the first scan, and no transform before the robot
+        was recognised in the map of a session: navigation would take any pose there for the robot's.
         """
         self._publish(self._run.extrapolator.at(reading))
 
@@ -188,7 +191,8 @@ class NodeOutputs:
         period = parameters.transform_publish_period
         with self._lock:
             run = self._run
-            is_due = bool(period) and not 0.0 <= now.stamp - run.transform_stamp < period
+            run.localised |= now.status is not LocalisationStatus.LOST
+            is_due = run.localised and bool(period) and not 0.0 <= now.stamp - run.transform_stamp < period
             run.transform_stamp = now.stamp if is_due else run.transform_stamp
         if is_due:
             later, frames = now.stamp + parameters.transform_timeout, (parameters.map_frame, parameters.odom_frame)
