@@ -85,15 +85,6 @@ def test_row_counts_wrong_relocalisations_and_drives_with_wrong_final_pose() -> 
     assert (twice.misplaced, once.misplaced) == (1, 0)
 
 
-def test_needed_loop_is_closed_at_the_right_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    limit_drives(monkeypatch, 132.0, rate=3.0)  # the loop is closed after 128 s
-    result = run_world("large_loop", 0)
-    assert result.needed
-    assert result.joined
-    assert result.accepted
-    assert not result.wrong
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [2, 5, 18])
 def test_no_wrong_closure_is_accepted_between_similar_places(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:

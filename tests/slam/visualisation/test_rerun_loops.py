@@ -13,6 +13,8 @@ from scipy.spatial import cKDTree
 from drivers import se2
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam.estimation import closure_monitor
+from slam.evaluation.benchmarks.lookalike import MAX_ANGLE_ERROR, MAX_ERROR, MIN_NEEDED_DRIFT
+from slam.evaluation.benchmarks.loop_scoring import LoopScorer
 from slam.events import Event, GraphInspected, KeyframeAdded, LoopDecided, MapUpdated
 from slam.graph.residuals import CORNER, GAUGE_PRIOR, ODOMETRY, WALL, WALL_EQUALITY
 from slam.loop_closure.loop_status import LoopStatus
@@ -31,10 +33,11 @@ DURATION = 144.0
 
 
 class Logged(NamedTuple):
-    """Log and events of a run that accepted a loop and retracted it, and the pipeline at its end."""
+    """Log, events and scores of a run that accepted a loop and retracted it, and the pipeline at its end."""
 
     path: Path
     events: list[Event]
+    scorer: LoopScorer
     slam: Slam
 
     def rows(self, entity: str) -> list[Row]:
@@ -49,13 +52,15 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
         patch.setattr(closure_monitor, "CHECK_INTERVAL", 6.0)
         patch.setattr(closure_monitor, "MAX_ADDED_CONTRADICTION", -1.0)
         patch.setattr(closure_monitor, "CONFIRMING_CHECKS", 1)
-        slam = Slam(sinks=[listener, review])
         lidar, wheels = replace(LIDAR_MODELS["short"], rate=3.0), WHEEL_MODELS["bad"]
-        for message in Simulation("large_loop", seed=0, duration=DURATION, lidar=lidar, wheels=wheels):
+        simulation = Simulation("large_loop", seed=0, duration=DURATION, lidar=lidar, wheels=wheels)
+        scorer = LoopScorer(simulation)
+        slam = Slam(sinks=[listener, review, scorer])
+        for message in simulation:
             slam.add(message)
         slam.finish()
     assert review.failures == 0, review.first_failure
-    return Logged(path, listener.events, slam)
+    return Logged(path, listener.events, scorer, slam)
 
 
 def decisions(logged: Logged) -> list[LoopDecided]:
@@ -67,6 +72,14 @@ def test_a_retraction_processes_every_scan_exactly_once(logged: Logged) -> None:
     assert statuses.count(LoopStatus.RETRACTED) == statuses.count(LoopStatus.ACCEPTED) > 0
     assert np.all(np.diff(state.trajectory.relative_poses()[0]) > 0.0)
     assert np.all(state.mapper.landmarks.walls.rows["last_seen"] < state.mapper.keyframe_count)
+
+
+def test_needed_loop_is_closed_at_the_right_place(logged: Logged) -> None:
+    assert logged.scorer.drift > MIN_NEEDED_DRIFT
+    accepted = [decided for decided in logged.scorer.decisions if decided.status == LoopStatus.ACCEPTED]
+    assert accepted
+    assert max(decided.error for decided in accepted) < MAX_ERROR
+    assert max(decided.angle_error for decided in accepted) < MAX_ANGLE_ERROR
 
 
 def test_every_decision_is_a_row_with_its_scores_and_gates(logged: Logged) -> None:
