@@ -23,7 +23,7 @@ from slam.offline.optimisation import optimise
 
 from .listeners import EventCollector
 
-DRIVEN, INTERRUPTED = 30.0, 17.0  # seconds of the first drive
+DRIVEN, INTERRUPTED = 22.0, 12.0  # seconds of the first drive
 LATER = 1000.0  # seconds until the next
 
 

@@ -33,7 +33,7 @@ from slam.offline.map_diff.plan import compare_with_plan, survey_plan
 from .listeners import EventCollector
 from .simulated_worlds import furnished_room
 
-FEW_BEAMS = LidarModel(beams=360)
+FEW_BEAMS = LidarModel(beams=360, rate=5.0)
 SIGMAS = (0.03, np.radians(0.3))
 SHIFT, WING = 0.5, 11.0
 """Metres by which the wing east of some x is elsewhere in the wrong plan, to the north and to the east."""

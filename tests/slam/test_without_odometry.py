@@ -31,7 +31,7 @@ def run(messages: list[Message]) -> Finished:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=1, duration=15.0, lidar=LidarModel(beams=360)))
+    return list(Simulation("office", seed=1, duration=15.0, lidar=LidarModel(beams=360, rate=5.0)))
 
 
 @pytest.fixture(scope="module")

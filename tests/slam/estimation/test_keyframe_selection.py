@@ -12,7 +12,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import Message, Odometry, Scan
-from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulation, WheelModel, World, load_world
+from drivers.simulation import WHEEL_MODELS, LidarModel, Simulation, WheelModel, World, load_world
 from slam import Slam
 from slam.config import Config, MappingConfig, OdometryConfig, config_to_toml
 from slam.estimation.keyframe_selection import CLOSE_SHARE, MIN_EXPLAINED, is_due
@@ -55,7 +55,7 @@ def test_the_first_scan_is_due() -> None:
 
 def test_odometry_is_learned_between_keyframes_too() -> None:
     slam = Slam()
-    for message in Simulation(load_world("office"), 3, 20.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
+    for message in Simulation(load_world("office"), 3, 20.0, LidarModel(beams=460), WHEEL_MODELS["good"]):
         slam.add(message)
     state = slam.slam_state
     samples = state.odometry_model.samples
@@ -65,7 +65,7 @@ def test_odometry_is_learned_between_keyframes_too() -> None:
 
 def test_where_learning_stopped_is_kept_with_a_session(tmp_path: Path) -> None:
     slam = Slam()
-    for message in Simulation(load_world("office"), 3, 60.0, LIDAR_MODELS["long"], WHEEL_MODELS["good"]):
+    for message in Simulation(load_world("office"), 3, 60.0, LidarModel(beams=460), WHEEL_MODELS["good"]):
         slam.add(message)
         if message.stamp > 10.0 and slam.slam_state.learned_until is not None:
             break  # in a room that is known: the scan that waits for odometry does not become a keyframe

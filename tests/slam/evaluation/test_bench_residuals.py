@@ -66,7 +66,7 @@ def test_maps_are_aligned_by_their_common_walls_whatever_the_others_are() -> Non
 
 @pytest.mark.parametrize("range_bias", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
 def test_halves_of_a_simulated_drive_are_consistent(range_bias: float) -> None:
-    lidar = LidarModel(beams=180, range_bias=range_bias)
+    lidar = LidarModel(beams=180, rate=5.0, range_bias=range_bias)
     result = examine("room", list(Simulation("room", seed=5, duration=45.0, lidar=lidar)), Config())
     assert result.heading.count == result.offset.count > 50
     assert 0.3 < result.heading.rms < 1.3

@@ -19,7 +19,7 @@ EVERY = 3  # motions, one of which is wrong
 @pytest.fixture(scope="module")
 def drive() -> tuple[Trajectory, Relations, list[Scan]]:
     """Return the true path of a drive, relations between scans one second apart, and the scans."""
-    simulation = Simulation("office", seed=3, duration=30.0, lidar=LidarModel(beams=360))
+    simulation = Simulation("office", seed=3, duration=30.0, lidar=LidarModel(beams=360, rate=5.0))
     scans = [message for message in simulation if isinstance(message, Scan)]
     stamps = np.array([scan.stamp for scan in scans])
     middles = np.array([scan.stamp + np.mean(scan.time_offsets) for scan in scans])

@@ -32,7 +32,7 @@ from slam.evaluation.benchmarks.scenarios.world_variants import FAR, NEAR, add_c
 
 @cache
 def drive() -> list[Message]:
-    return list(Simulation("room", seed=1, duration=6.0, lidar=LidarModel(beams=360)))
+    return list(Simulation("room", seed=1, duration=6.0, lidar=LidarModel(beams=360, rate=5.0)))
 
 
 def changed(variant: LogVariant) -> list[Message]:
