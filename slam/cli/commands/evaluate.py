@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ...io.output_dir import TRAJECTORY
 from ..console import print_message
 
 if TYPE_CHECKING:
@@ -20,7 +21,11 @@ EXIT_INCOMPLETE = 1
 
 def evaluate(
     trajectory: Annotated[
-        Path, typer.Argument(metavar="TRAJECTORY", help="Trajectory in TUM format: t x y z qx qy qz qw per line.")
+        Path,
+        typer.Argument(
+            metavar="TRAJECTORY",
+            help="Trajectory in TUM format, t x y z qx qy qz qw per line, or output directory of a run.",
+        ),
     ],
     relations: Annotated[
         Path | None, typer.Option("--relations", help="Relations: true motions between poses (Kuemmerle et al. 2009).")
@@ -42,12 +47,14 @@ def evaluate(
 
     Exit status 1 if some relations lie outside the trajectory's time.
 
-    Example: [bold]wclm eval out/trajectory.tum --relations intel.relations[/bold]
+    Example: [bold]wclm eval out --relations intel.relations[/bold]
     """
     if (relations is None) == (reference is None):
         raise typer.BadParameter("exactly one of the two is required", param_hint="--relations / --reference")
     if recording is not None and relations is None:
         raise typer.BadParameter("is for relations only", param_hint="--recording")
+    if trajectory.is_dir():
+        trajectory /= TRAJECTORY
     if relations is not None:
         _against_relations(trajectory, relations, recording, plot, as_json)
     elif reference is not None:

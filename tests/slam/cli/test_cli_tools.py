@@ -12,6 +12,7 @@ import pytest
 import drivers
 from drivers import Scan
 from drivers.recordings.mcap import McapWriter
+from slam.io.output_dir import TRAJECTORY
 
 SHORT = "sim:room?duration=3"
 
@@ -132,6 +133,15 @@ def test_eval_scores_against_a_reference(wclm: Any, tmp_path: Path) -> None:
     assert json.loads(result.stdout)["ate_rmse"] == pytest.approx(0.005, rel=0.01)
     assert (tmp_path / "a.png").exists()
     assert "20 at common times" in wclm("eval", "a.tum", "--reference", "truth.tum").stdout
+
+
+@pytest.mark.usefixtures("scored")
+def test_eval_takes_the_output_directory_of_a_run(wclm: Any, tmp_path: Path) -> None:
+    """It has the trajectory in a file whose name is always the same."""
+    (tmp_path / "out").mkdir()
+    (tmp_path / "a.tum").rename(tmp_path / "out" / TRAJECTORY)
+    assert "translation 0.0100 +- 0.0000 m" in wclm("eval", "out", "--relations", "a.relations").stdout
+    wclm.refuses("eval", ".", "--relations", "a.relations", because=[f"{TRAJECTORY}: No such file"])
 
 
 @pytest.mark.usefixtures("scored")
