@@ -26,14 +26,14 @@ class SensorModelsRecord(Record):
     """
 
     sigma_range: Finite = Field(gt=0.0)
-    sigma_bearing: Finite | None = Field(default=None, gt=0.0)
+    sigma_bearing: Finite | None = Field(default=None, gt=0.0, le=math.pi)
     segmentation_range: Finite | None = Field(default=None, gt=0.0)
     noise_scans: Finite | None = Field(default=None, gt=0.0)
     noise_lines: Finite | None = Field(default=None, gt=0.0)
     odometry_samples: list[list[Finite]]
     roughness_samples: list[Finite]
     second_sigma_range: Finite | None = Field(default=None, gt=0.0)
-    second_sigma_bearing: Finite | None = Field(default=None, gt=0.0)
+    second_sigma_bearing: Finite | None = Field(default=None, gt=0.0, le=math.pi)
     second_segmentation_range: Finite | None = Field(default=None, gt=0.0)
     second_noise_scans: Finite | None = Field(default=None, gt=0.0)
     second_noise_lines: Finite | None = Field(default=None, gt=0.0)

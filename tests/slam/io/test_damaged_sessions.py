@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -201,6 +202,15 @@ def test_a_landmark_of_the_graph_without_a_variable_is_refused(intact: Path, tmp
         read_session(path)
 
 
+def test_a_noise_of_bearings_of_more_than_half_a_turn_is_refused(intact: Path, tmp_path: Path) -> None:
+    header = shutil.copytree(intact, tmp_path / "out") / SESSION / HEADER
+    data = json.loads(header.read_text())
+    data["sensor_models"]["sigma_bearing"] = 2**31
+    header.write_text(json.dumps(data))
+    with pytest.raises(MapError, match=r"sensor_models.sigma_bearing: Input should be less than or equal to 3.14"):
+        read_session(tmp_path / "out")
+
+
 @pytest.mark.parametrize("value", [0.0, -0.01])
 def test_a_range_without_noise_is_refused(intact: Path, tmp_path: Path, value: float) -> None:
     path = shutil.copytree(intact, tmp_path / "out")
@@ -253,15 +263,65 @@ def test_no_damage_of_a_footer_ends_the_process(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
 
 
-def test_odometry_that_leads_back_is_refused(intact: Path, tmp_path: Path) -> None:
-    """The drift is followed along odometry to the first keyframe; in a circle that would never end."""
-    path = shutil.copytree(intact, tmp_path / "out")
-    file = path / SESSION / FACTORS
+Factor = dict[str, Any]
+
+
+def refuses_factors(intact: Path, path: Path, change: Callable[[list[Factor]], None], message: str) -> None:
+    """Check that a copy of a session is refused with a message after a change of its factors."""
+    file = shutil.copytree(intact, path) / SESSION / FACTORS
     table = pq.read_table(file)
     factors = table.to_pylist()
-    last = max(k for k, factor in enumerate(factors) if factor["kind"] == FactorKind.ODOMETRY)
-    first, second = factors[last]["first"], factors[last]["second"]
-    factors[last] |= {"first": second, "second": first}
+    change(factors)
     pq.write_table(pa.Table.from_pylist(factors, table.schema), file)
-    with pytest.raises(MapError, match=f"factors.parquet: odometry leads from the keyframe {second} back to {first}"):
+    with pytest.raises(MapError, match=f"factors.parquet: {message}"):
         read_session(path)
+
+
+def test_odometry_that_leads_back_is_refused(intact: Path, tmp_path: Path) -> None:
+    """The drift is followed along odometry to the first keyframe; in a circle that would never end."""
+
+    def turn_back(factors: list[Factor]) -> None:
+        last = [factor for factor in factors if factor["kind"] == FactorKind.ODOMETRY][-1]
+        last["first"], last["second"] = last["second"], last["first"]
+
+    refuses_factors(intact, tmp_path / "out", turn_back, r"odometry leads from the keyframe \d+ back to \d+")
+
+
+@pytest.mark.parametrize("kind", [FactorKind.POSE_PRIOR, FactorKind.POINT_MAP])
+def test_a_factor_of_one_keyframe_with_another_one_that_does_not_exist_is_refused(
+    intact: Path, tmp_path: Path, kind: FactorKind
+) -> None:
+    def change(factors: list[Factor]) -> None:
+        next(factor for factor in factors if factor["kind"] == kind)["second"] = 10**6
+
+    message = rf"a factor of kind {kind} from \d+ to 1000000 has a variable that does not exist"
+    refuses_factors(intact, tmp_path / "out", change, message)
+
+
+@pytest.mark.parametrize("kind", ["wall", "corner"])
+def test_a_landmark_without_factors_is_refused(intact: Path, tmp_path: Path, kind: str) -> None:
+    """Nothing determines it."""
+
+    def remove(factors: list[Factor]) -> None:
+        of_kind = {"wall": ("gauge_prior", "wall_heading", "wall_offset"), "corner": ("corner",)}[kind]
+        factors[:] = [factor for factor in factors if factor["kind"] not in of_kind or factor["second"]]
+
+    refuses_factors(intact, tmp_path / "out", remove, f"no factor has the {kind} 0")
+
+
+def test_a_landmark_that_waits_although_all_keyframes_are_solved_is_refused(intact: Path, tmp_path: Path) -> None:
+    """The last factors wait; with another number of them the landmark would have no estimate."""
+
+    def begin_with_a_corner_last(factors: list[Factor]) -> None:
+        confirmed = [factor for factor in factors if not factor["unconfirmed"]]
+        corner = max(factor["second"] for factor in confirmed if factor["kind"] == FactorKind.CORNER)
+        waiting = [f for f in confirmed if f["kind"] == FactorKind.CORNER and f["second"] == corner]
+        rest = [factor for factor in confirmed if factor not in waiting]
+        factors[:] = [*rest, *waiting, *(factor for factor in factors if factor["unconfirmed"])]
+        header = tmp_path / "out" / SESSION / HEADER
+        data = json.loads(header.read_text())
+        data["graph"]["waiting"] = len(waiting)
+        header.write_text(json.dumps(data))
+
+    message = r"the corner \d+ waits for a solution, but no keyframe does"
+    refuses_factors(intact, tmp_path / "out", begin_with_a_corner_last, message)
