@@ -47,6 +47,8 @@ class PredictedMotionModel(OdometryModel):
         self._floors, self._systematic = INITIAL_FLOORS, SystematicErrors(variances=np.zeros(6))
 
     def _estimate(self) -> None:
+        if not len(self._samples):  # of a session in which the robot hardly moved
+            return
         measured, registered, variances = self._latest_samples()
         self._estimate_rates(measured, registered, variances)
         error = se2.between(measured, registered)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from drivers.simulation import Simulation
 from drivers.simulation.lidar_model import LidarModel
 from slam import Config, Slam
 from slam.cli.app import app
-from slam.config import OdometryConfig
+from slam.config import OdometryConfig, config_to_toml
 from slam.evaluation.metrics import score_reference
 from slam.events import Finished
+from slam.io.output_dir import CONFIG
+from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
 
 WITHOUT_ODOMETRY = Config(odometry=OdometryConfig(source="none"))
@@ -70,3 +73,19 @@ def test_a_recording_without_odometry_is_mapped_and_says_so(drive: list[Message]
     again = ["run", "sim:room?duration=4", "--continue", str(tmp_path / "map"), "--out", str(tmp_path / "more")]
     ran = CliRunner().invoke(app, [*again, "--no-review"])
     assert ran.exit_code == 0, ran.output
+
+
+def test_a_run_of_a_robot_that_stood_is_continued(drive: list[Message], tmp_path: Path) -> None:
+    """No motion was long enough to learn the errors of predictions from."""
+    first = next(message for message in drive if isinstance(message, Scan))
+    slam = Slam(WITHOUT_ODOMETRY)
+    for k in range(10):
+        slam.add(replace(first, stamp=first.stamp + 0.2 * k))
+    slam.finish()
+    assert not len(slam.session.slam_state.odometry_model.samples)
+    (tmp_path / CONFIG).write_text(config_to_toml(WITHOUT_ODOMETRY))
+    write_session(tmp_path, slam.session)
+    restored = read_session(tmp_path)
+    np.testing.assert_array_equal(
+        restored.slam_state.odometry_model.floors, slam.session.slam_state.odometry_model.floors
+    )
