@@ -49,7 +49,7 @@ class SerialPort:
             self._serial.port = port
             self._serial.dtr = self._serial.rts = dtr  # an ESP32 is held in reset while the two differ
             self._serial.open()
-            with suppress(ValueError, NotImplementedError):  # the port or the system may have no such mode
+            with suppress(ValueError, NotImplementedError):  # not every port and system has this mode
                 self._serial.set_low_latency_mode(True)  # otherwise adapters delay bytes by 16 ms
         except PORT_ERRORS as error:
             raise PortError(port, _reason(error)) from error

@@ -190,8 +190,7 @@ class LoopAgreement:
         elif self._is_refuted(look) and not (self._returns or is_recognised(look, votes.all)):
             look = look.doubting_estimate()
             places = look.possible_places()
-            beyond, found = self._find(look, places, DOUBTED_PLACES), votes.found
-            found += [vote for vote in beyond if all(differ(look, vote.motion, other.motion) for other in found)]
+            votes = votes.with_found(look, self._find(look, places, DOUBTED_PLACES))
         if not places:
             return None
         self._vote(look, votes, local_field)

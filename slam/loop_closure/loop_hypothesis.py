@@ -15,7 +15,7 @@ from .decision import LoopDecision, LoopMatch
 class LoopHypothesis:
     """Motion [x, y, heading] that would move the robot in the map, with the looks for and against it.
 
-    support         at least one: latest match of each look that supports it
+    support         latest match of each look that supports it; there is at least one
     contradictions  metres driven up to each look that contradicts it
     rejection       decision against it at the last look that supports it, for reports; not stored in sessions
     admitted        true unless the estimate's uncertainty excludes its closure at the last look that supports it

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -43,14 +43,19 @@ class Votes:
     """
 
     at_estimate: Vote | None
-    tested: list[tuple[LoopHypothesis, Vote]]
-    found: list[Vote]
+    tested: Sequence[tuple[LoopHypothesis, Vote]]
+    found: Sequence[Vote]
 
     @property
     def all(self) -> list[Vote]:
-        """All of them."""
+        """All of them in one list."""
         at_estimate = [] if self.at_estimate is None else [self.at_estimate]
         return [*self.found, *at_estimate, *(vote for _, vote in self.tested)]
+
+    def with_found(self, look: Look, more: Iterable[Vote]) -> Votes:
+        """Return them together with those votes of another search that lead to other places than the ones found."""
+        new = [vote for vote in more if all(differ(look, vote.motion, other.motion) for other in self.found)]
+        return replace(self, found=[*self.found, *new])
 
 
 def vote_at(look: Look, motion: se2.Pose, since: int) -> Vote | None:

@@ -47,7 +47,7 @@ class PredictedMotionModel(OdometryModel):
         self._floors, self._systematic = INITIAL_FLOORS, SystematicErrors(variances=np.zeros(6))
 
     def _estimate(self) -> None:
-        if not len(self._samples):  # of a session in which the robot hardly moved
+        if not len(self._samples):  # as in a saved model of a robot that stood: the initial errors hold
             return
         measured, registered, variances = self._latest_samples()
         self._estimate_rates(measured, registered, variances)

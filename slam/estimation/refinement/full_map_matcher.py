@@ -40,8 +40,8 @@ FIELD_RADIUS = 6.0
 # Maximum number of keyframes per distance field, evenly selected. Origin: chosen, bounds the time; not measured.
 MAX_FIELD_KEYFRAMES = 40
 # Distance fields that are kept, those needed again soonest: the robot returns to tiles.
-# Origin: measured, of some 1.5 MB each. With twice as many, two thirds to three quarters as many are built, which takes
-# 0.3 to 0.8 % less time for the whole run, and 11 to 21 MB more at its peak.
+# Origin: measured on three recordings, a field has some 1.5 MB. If twice as many are kept, two thirds to three quarters
+# as many are built. This saves 0.3 to 0.8 % of the time of a run, and takes up to 21 MB more at its peak.
 MAX_FIELDS = 16
 # Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan that was tracked.
 # Origin: chosen; not measured.

@@ -10,17 +10,12 @@ from numpy.typing import NDArray
 
 from ...errors import MapError
 from ...geometry.segments import Floats
-from ...graph.factors import MATCH_KINDS, Factor, FactorKind, GraphState
+from ...graph.factors import Factor, FactorKind, GraphState, keys_of
+from ...graph.variable_keys import keyframe_keys, landmark_keys, name_of, point_map_keys
 from ...mapping.drift_covariance import odometry_tree
 from ...mapping.landmark_table import NEVER_REMOVED, UNOBSERVED
 from ...mapping.landmarks import Landmarks
 from .tables import ROUNDING
-
-TO_KEYFRAME = (FactorKind.ODOMETRY, FactorKind.LOOP, *MATCH_KINDS, FactorKind.POSE_PRIOR, FactorKind.PINNED_POSE)
-FROM_WALL = (FactorKind.WALL_EQUALITY, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL)
-"""Kinds of factors whose `first` is a wall."""
-TO_WALL = (FactorKind.GAUGE_PRIOR, FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET, *FROM_WALL)
-"""Kinds of factors whose `second` is a variable of that kind."""
 
 
 def check_variables(file: Path, graph: GraphState, landmarks: Landmarks, keyframes: int) -> None:
@@ -57,26 +52,24 @@ def check_factors(
     variable has no factor, a landmark waits for the solution of a graph that is solved, or odometry leads from a
     keyframe to one before it.
     """
-    keyframes = set(range(len(graph.keyframes)))
-    walls, corners, point_maps = (set(ids.tolist()) for ids in (graph.walls, graph.corners, graph.point_maps))
-    names = {"keyframe": keyframes, "wall": walls, "corner": corners, "point map": point_maps}
+    keyframes, in_graph = keyframe_keys(graph), landmark_keys(graph)
+    existing = in_graph.union(keyframes, point_map_keys(graph))
     for factor in factors:
-        first, second = _variables(factor.kind)
-        if factor.first not in names[first] or factor.second not in names[second]:
+        if not existing.issuperset(keys_of(factor)):
             raise _not_found(file, factor)
         if factor.kind is FactorKind.ODOMETRY and factor.first >= factor.second:
             raise MapError(f"{file}: odometry leads from the keyframe {factor.first} back to {factor.second}")
-    used, solved = _used(factors), _used(factors[: len(factors) - graph.waiting])
-    for name, variables in names.items():
-        if unused := variables - used[name]:
-            raise MapError(f"{file}: no factor has the {name} {min(unused)}")
-    for name in ("wall", "corner"):
-        waiting = names[name] - solved[name]
-        if waiting and len(keyframes) - 1 in solved["keyframe"]:
-            raise MapError(f"{file}: the {name} {min(waiting)} waits for a solution, but no keyframe does")
+    solved, waiting = factors[: len(factors) - graph.waiting], factors[len(factors) - graph.waiting :]
+    solved_keys = {key for factor in solved for key in keys_of(factor)}
+    unsolved = existing - solved_keys
+    if unused := unsolved.difference(*(keys_of(factor) for factor in waiting)):
+        raise MapError(f"{file}: no factor has the {name_of(min(unused))}")
+    unsolved &= in_graph
+    if unsolved and solved_keys.intersection(keyframes[-1:]):
+        raise MapError(f"{file}: the {name_of(min(unsolved))} waits for a solution, but no keyframe does")
     for factor in unconfirmed:
         known = len(landmarks.corners if factor.kind is FactorKind.CORNER else landmarks.walls)
-        if factor.first not in keyframes or not 0 <= factor.second < known:
+        if not 0 <= factor.first < len(keyframes) or not 0 <= factor.second < known:
             raise _not_found(file, factor)
 
 
@@ -87,25 +80,6 @@ def check_drift(file: Path, drift: Floats, factors: Sequence[Factor]) -> None:
     rounding = ROUNDING * np.trace(drift, axis1=1, axis2=2)
     if (np.linalg.eigvalsh(growth)[:, 0] < -rounding).any():
         raise MapError(f"{file}: the correlated drift of a keyframe is less than that of the one before")
-
-
-def _variables(kind: FactorKind) -> tuple[str, str]:
-    """Return what the `first` and the `second` variable of a kind of factors are."""
-    if kind is FactorKind.SCAN_MATCH:
-        return "point map", "keyframe"
-    if kind is FactorKind.POINT_MAP:
-        return "keyframe", "point map"
-    second = "keyframe" if kind in TO_KEYFRAME else "wall" if kind in TO_WALL else "corner"
-    return "wall" if kind in FROM_WALL else "keyframe", second
-
-
-def _used(factors: Sequence[Factor]) -> dict[str, set[int]]:
-    """Return the variables that some factors have."""
-    used: dict[str, set[int]] = {name: set() for name in ("keyframe", "wall", "corner", "point map")}
-    for factor in factors:
-        for name, variable in zip(_variables(factor.kind), (factor.first, factor.second), strict=True):
-            used[name].add(variable)
-    return used
 
 
 def _not_found(file: Path, factor: Factor) -> MapError:
