@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from ...visualisation.rerun_log.viewer import ViewerServer
 
 WEB_PORT = 9090
+START_ATTEMPTS = 3
+"""Starts of the viewer's server: another program may take a port after it was found free."""
 START_TIMEOUT = 30.0
 """Seconds until a server must be reachable."""
 STOP_TIMEOUT = 5.0
@@ -106,16 +108,23 @@ def _serve(log: Path, address: str, port: int | None) -> None:
     """Serve viewer and log for a browser until Ctrl-C."""
     from ...visualisation.rerun_log.viewer import ViewerServer, viewer_executable
 
-    with ViewerServer(address) as data, ViewerServer(address, port, default=WEB_PORT) as page:
-        ports = ["--port", str(data.port), "--web-viewer-port", str(page.port)]
-        where = f"http://{page.host}:{page.port}/?url={quote(data.url, safe='')}"
-    with _running([viewer_executable(), str(log), "--serve-web", "--bind", address, *ports]) as server:
-        for served in (data, page):
-            _wait_for(served, server)
-        typer.echo(where)
-        print_message("serving until Ctrl-C")
-        with suppress(KeyboardInterrupt):
-            server.wait()
+    for later_attempts in reversed(range(START_ATTEMPTS)):
+        with ViewerServer(address) as data, ViewerServer(address, port, default=WEB_PORT) as page:
+            ports = ["--port", str(data.port), "--web-viewer-port", str(page.port)]
+            where = f"http://{page.host}:{page.port}/?url={quote(data.url, safe='')}"
+        with _running([viewer_executable(), str(log), "--serve-web", "--bind", address, *ports]) as server:
+            try:
+                for served in (data, page):
+                    _wait_for(served, server)
+            except OutputError:
+                if server.poll() is None or not later_attempts:
+                    raise
+                continue
+            typer.echo(where)
+            print_message("serving until Ctrl-C")
+            with suppress(KeyboardInterrupt):
+                server.wait()
+            return
 
 
 @contextmanager

@@ -151,6 +151,33 @@ def test_web_viewer_accepts_local_connections_only(session: Path) -> None:
         assert not any(server.is_running() and server.status() != psutil.STATUS_ZOMBIE for server in servers)
 
 
+SERVER_WHOSE_PORT_IS_TAKEN_ONCE = """#!{python}
+import socket, sys
+from pathlib import Path
+marker = Path({marker!r})
+if not marker.exists():
+    marker.touch()
+    sys.exit(1)
+options = sys.argv[1:]
+ports = [int(options[options.index(name) + 1]) for name in ("--port", "--web-viewer-port")]
+for server in [socket.create_server(("127.0.0.1", port)) for port in ports]:
+    server.accept()
+"""
+
+
+def test_web_viewer_is_started_again_if_its_port_was_taken_meanwhile(
+    wclm: Any, session: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    server = tmp_path / "server"
+    marker = str(tmp_path / "started")
+    server.write_text(SERVER_WHOSE_PORT_IS_TAKEN_ONCE.format(python=sys.executable, marker=marker))
+    server.chmod(0o755)
+    monkeypatch.setattr("slam.visualisation.rerun_log.viewer.viewer_executable", lambda: str(server))
+    result = wclm("review", session, "--web")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("http://127.0.0.1:")
+
+
 def test_error_names_a_port_that_is_in_use(wclm: Any, session: Path) -> None:
     with occupied_port() as port:
         wclm.refuses("review", session, "--web", "--port", port, because=["127.0.0.1", str(port)])
