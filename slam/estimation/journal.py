@@ -98,7 +98,7 @@ class Journal:
             self._mark_unless_keyframe(self._familiar.popleft(), keyframe_stamps)
 
     def _mark_unless_keyframe(self, row: int, keyframe_stamps: Sequence[float]) -> None:
-        stamp = self.scans[row].stamp
+        stamp = float(self.scans.stamps[row])
         place = bisect.bisect_left(keyframe_stamps, stamp)
         if place == len(keyframe_stamps) or keyframe_stamps[place] != stamp:
             self._mark_dispensable(row)
@@ -147,7 +147,7 @@ class Journal:
     @property
     def stamp_before(self) -> float:
         """Stamp of the last scan before those of this run, seconds; -inf if there is none."""
-        return self.scans[self.first_row - 1].stamp if self.first_row else -np.inf
+        return float(self.scans.stamps[self.first_row - 1]) if self.first_row else -np.inf
 
     def any_tracked(self, trajectory: TrajectoryBuilder) -> bool:
         """Return True if any scan of this run is on the trajectory."""

@@ -180,7 +180,7 @@ class LocalField:
         """Empty the field: the next keyframe may be anywhere."""
         self.field, self._linked = DistanceField.empty(self.field.centre), True
         self._inserted, self._inserted_poses = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-        self._successor = None
+        self._successor = self._recent = None
 
     def link(self, keyframe: int, other: int) -> None:
         """State that two keyframes saw the same place, so that their relative pose is well known."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
 from ..matching.line_matcher import ScanFeatures
+from .packed_features import PackedFeatures
 from .preprocessor import NO_FEATURES, ProcessedScan
 
 
@@ -23,7 +24,7 @@ class ScanSequence(Sequence[ProcessedScan]):
 
     def __init__(self, scans: Iterable[ProcessedScan] = ()) -> None:
         self._stamps, self._odometry, self._travel = GrowingArray(()), GrowingArray((3,)), GrowingArray(())
-        self._features: dict[int, ScanFeatures] = {}  # by row; the other scans have none
+        self._features: dict[int, PackedFeatures] = {}  # by row; the other scans have none
         for scan in scans:
             self.append(scan)
 
@@ -43,7 +44,7 @@ class ScanSequence(Sequence[ProcessedScan]):
     def append(self, scan: ProcessedScan) -> None:
         """Append a scan."""
         if scan.features is not NO_FEATURES:
-            self._features[len(self)] = scan.features
+            self._features[len(self)] = PackedFeatures(scan.features)
         self._stamps.append(scan.stamp)
         self._odometry.append(scan.odometry)
         self._travel.append(scan.travel)
@@ -92,5 +93,6 @@ class ScanSequence(Sequence[ProcessedScan]):
         return mask
 
     def features(self, row: int) -> ScanFeatures:
-        """Return the features of a scan."""
-        return self._features.get(row, NO_FEATURES)
+        """Return the features of a scan, NO_FEATURES if they are not there."""
+        packed = self._features.get(row)
+        return NO_FEATURES if packed is None else packed.unpack()

@@ -21,7 +21,7 @@ from ...localisation.moving_objects import match_without_moving
 from ...localisation.slip_statistics import SlipStatistics
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
-from ...matching.bias_correction import correct_range_bias_of_scans
+from ...matching.bias_correction import correct_range_bias
 from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures
 from ...matching.point_matcher import KERNEL, PointMatch, Prediction
@@ -94,12 +94,12 @@ class FullMapMatcher:
         self._slip_cost = SlipStatistics(len(history), int(odometry_wrong.sum())).cost
         self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._informations = history.informations + self._unmatched
-        self._features = correct_range_bias_of_scans([scan.features for scan in history.scans], range_bias)
+        self._range_bias = range_bias
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._tiles = self._tiles_of(history.anchors)
         self._next_rows = _next_rows(self._tiles)
         self._fields: dict[_Tile, tuple[int, DistanceField]] = {}  # with the next scan that needs it
-        self._points: dict[int, Floats] = {}  # of the keyframes in fields
+        self._points: dict[int, NDArray[np.float32]] = {}  # of the keyframes in fields
         self._reach = [LOCAL_MAP_MARGIN + scan.features.segments.reach() for scan in history.scans]
         self._last_keyframe = (np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1).tolist()
         clock = ScanClock()
@@ -111,7 +111,7 @@ class FullMapMatcher:
 
     def features(self, row: int) -> ScanFeatures:
         """Return the features of a scan without the range bias."""
-        return self._features[row]
+        return correct_range_bias(self._history.scans[row].features, self._range_bias)
 
     def match(self, row: int, poses: Floats, local_map: LocalMap) -> FullMapMatch:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
@@ -194,11 +194,11 @@ class FullMapMatcher:
         near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
         field.insert_scans(self._poses[near], [self._points_of(keyframe) for keyframe in near.tolist()])
 
-    def _points_of(self, keyframe: int) -> Floats:
+    def _points_of(self, keyframe: int) -> NDArray[np.float32]:
         """Return the points (p, 5) of a keyframe with their normals: it is in several fields."""
         if keyframe not in self._points:
             scan = self._history.scans[self._history.keyframes[keyframe]].features
-            self._points[keyframe] = scan.surface_points()
+            self._points[keyframe] = scan.surface_points().astype(np.float32)  # as while driving
         return self._points[keyframe]
 
 

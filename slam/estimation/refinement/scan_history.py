@@ -105,7 +105,7 @@ class ScanHistory:
 
         `odometry_wrong` (n,) is true for scans at which odometry was found to be wrong: it had stopped, or jumped.
         """
-        motion = se2.between(self.scans[row].odometry, self.scans[to].odometry)
+        motion = se2.between(*self.odometry[[row, to]])
         if any(row < kidnapped <= to for kidnapped in self.kidnapped):
             return motion, np.diag(UNMEASURED_MOTION_SIGMAS**2)
         if odometry_wrong[row : to + 1].any():

@@ -86,7 +86,7 @@ def test_an_interrupted_batch_keeps_only_complete_results(tmp_path: Path) -> Non
     recordings = [SHORT[0], "sim:office?duration=300", "sim:office?duration=301"]
     process = start_batch(tmp_path, recordings, "out", 2)
     deadline = time.monotonic() + 200  # includes compilation
-    while len(unfinished(out)) < 2 or not (out / "sim-room-duration=3").exists():
+    while len(unfinished(out)) < 2 or table(out)["sim-room-duration=3"]["status"] != "done":
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.05)

@@ -29,7 +29,6 @@ from slam.localisation.slip_statistics import SlipStatistics
 from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
-from slam.matching.bias_correction import correct_range_bias, correct_range_bias_of_scans
 from slam.matching.distance_field import DistanceField
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.point_matcher import Prediction
@@ -115,16 +114,6 @@ def test_motions_from_scan_to_scan_are_those_between_any_two_scans(session: Mapp
         motion, covariance = history.motion(row, row + 1, model, wrong)
         np.testing.assert_allclose(motions[row], motion, atol=1e-12)
         np.testing.assert_allclose(covariances[row], covariance, rtol=1e-12)
-
-
-def test_range_bias_is_corrected_in_all_scans_as_in_each(session: MappedSession) -> None:
-    scans = [scan.features for scan in session.history.scans[:10]]
-    for corrected, scan in zip(correct_range_bias_of_scans(scans, 0.02), scans, strict=True):
-        expected = correct_range_bias(scan, 0.02)
-        np.testing.assert_allclose(corrected.segments.frame, expected.segments.frame, atol=1e-12)
-        np.testing.assert_allclose(corrected.corners.position, expected.corners.position, atol=1e-12)
-        np.testing.assert_allclose(corrected.corners.headings, expected.corners.headings, atol=1e-12)
-        np.testing.assert_array_equal(corrected.corners.segments, expected.corners.segments)
 
 
 def test_the_first_scan_is_held_by_odometry_to_the_second(

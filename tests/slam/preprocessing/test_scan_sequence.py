@@ -1,5 +1,7 @@
 """Processed scans of a session: they are returned as they were added, and need little memory without features."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -12,24 +14,44 @@ from slam.preprocessing.scan_sequence import ScanSequence
 from ...traced_memory import traced_memory
 
 
-def features() -> ScanFeatures:
-    segments = Segments(np.zeros((1, 3)), np.ones(1), np.eye(2)[None])
-    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
-    return ScanFeatures(segments, corners, ScanPoints(np.ones((3, 2))))
+def features(segments: int = 3, corners: int = 2, points: int = 5) -> ScanFeatures:
+    """Return features of which no two numbers are the same."""
+    random = np.random.default_rng(segments)
+    return ScanFeatures(
+        Segments(*(random.normal(size=(segments, *shape)) for shape in ((3,), (), (2, 2), (2,)))),
+        CornerPoints(
+            random.normal(size=(corners, 2)),
+            random.normal(size=(corners, 2, 2)),
+            random.integers(0, max(segments, 1), (corners, 2)),
+            random.normal(size=(corners, 2)),
+        ),
+        ScanPoints(random.normal(size=(points, 2)), 0.01),
+        random.normal(size=(3, 3)),
+    )
 
 
 def some_scans(count: int) -> list[ProcessedScan]:
     """Return scans of which every other one has features."""
     return [
-        ProcessedScan(0.1 * k, np.array([k, -k, 0.01 * k]), NO_FEATURES if k % 2 else features(), 0.001 * k)
+        ProcessedScan(0.1 * k, np.array([k, -k, 0.01 * k]), NO_FEATURES if k % 2 else features(k, k // 2), 0.001 * k)
         for k in range(count)
     ]
 
 
 def assert_equal(scan: ProcessedScan, expected: ProcessedScan) -> None:
     assert (scan.stamp, scan.travel) == (expected.stamp, expected.travel)
-    assert scan.features is expected.features
     np.testing.assert_array_equal(scan.odometry, expected.odometry)
+    assert (scan.features is NO_FEATURES) == (expected.features is NO_FEATURES)
+    assert scan.features.points is expected.features.points
+    np.testing.assert_array_equal(scan.features.sweep_covariance, expected.features.sweep_covariance)
+    for found, added in (
+        (scan.features.segments, expected.features.segments),
+        (scan.features.corners, expected.features.corners),
+    ):
+        for field in fields(added):
+            values, original = getattr(found, field.name), getattr(added, field.name)
+            assert values.dtype == original.dtype
+            np.testing.assert_array_equal(values, original)
 
 
 def test_scans_are_returned_as_they_were_added() -> None:
@@ -83,3 +105,13 @@ def test_a_scan_without_features_takes_five_numbers() -> None:
         for _ in range(10_000):
             sequence.append(scan)
     assert memory.kept < 10_000 * 5 * 8 * 1.2
+
+
+def test_features_take_little_more_than_their_numbers() -> None:
+    """All scans of a drive are kept, with a handful of segments and corners each."""
+    scans = [ProcessedScan(1.0, np.zeros(3), features(), 0.0) for _ in range(1000)]
+    numbers = 3 * 10 + 2 * 10 + 9
+    with traced_memory() as memory:
+        sequence = ScanSequence(scans)
+    assert memory.kept - 1000 * 5 * 8 < 1000 * (8 * numbers + 350)
+    assert sequence.has_features.all()
