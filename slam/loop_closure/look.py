@@ -26,12 +26,12 @@ from .submap_search import SUBMAP_LENGTH, Submap, SubmapMatch, build_submap, imp
 # Metres of driving between the middles of the submaps of old places. Origin: definition, half a submap.
 SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
 # Submaps of old places that are kept. Origin: measured on four recordings: each has 1.3 MB, and with twice as many, at
-# most a fifth fewer are built.
-MAX_SUBMAPS = 8
+# most a fifth to a third fewer are built.
+MAX_SUBMAPS = 6
 
 
 class Submaps:
-    """Submaps of the old places that were built last, by the keyframe in their middle."""
+    """Submaps of the old places that were searched last, by the keyframe in their middle."""
 
     def __init__(self, places: Sequence[tuple[int, OldPlace]] = (), local_field: LocalField | None = None) -> None:
         """Build the submaps of saved `places`; `local_field` has the points of all keyframes."""
@@ -52,11 +52,12 @@ class Submaps:
 
     def get(self, keyframe: int, place_around: Callable[[int], OldPlace], local_field: LocalField) -> Submap:
         """Return the submap around a keyframe; it is built from `place_around` if it is not kept."""
-        if keyframe not in self._submaps:
+        if (kept := self._submaps.pop(keyframe, None)) is None:
             place = place_around(keyframe)
             self._submaps = dict([*self._submaps.items()][1 - MAX_SUBMAPS :])
-            self._submaps[keyframe] = place, _build(place, local_field)
-        return self._submaps[keyframe][1]
+            kept = place, _build(place, local_field)
+        self._submaps[keyframe] = kept  # the last one now
+        return kept[1]
 
 
 class Look:

@@ -47,6 +47,7 @@ def run(
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
     from ...io.recordings import absolute_recording, check_scans, open_source, reason_without_odometry
+    from ...memory import return_freed_memory
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
     from ..run_setup import prepare_run, without_odometry
@@ -65,3 +66,4 @@ def run(
     run_input = RecordingInput(source, reopen=absolute_recording(recording))
     result = run_slam(run_input, start, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
     typer.echo("\n".join(format_summary(result, out)))
+    return_freed_memory()  # as the process ends, the code of all libraries is loaded once more
