@@ -69,11 +69,16 @@ class LidarFeatures:
     def extract(self, scan: Scan, odometry: OdometryHistory, model: OdometryModel) -> ExtractedScan:
         """De-skew a scan and extract its features."""
         mount = lidar_mount(scan, self._lidar)
-        deskewed = deskew(scan, odometry, mount, self._lidar.range_bias, model)
+        deskewed = self._within_limits(deskew(scan, odometry, mount, self._lidar.range_bias, model))
         if not self._noise_settled:
             self._noise_settled = self._extractor.settle_noise(deskewed.ranges, deskewed.bearings)
         features = self._extractor.extract(deskewed.ranges, deskewed.bearings)
         return ExtractedScan(deskewed, features.without_chords(), mount)
+
+    def _within_limits(self, scan: DeskewedScan) -> DeskewedScan:
+        """Return a scan without the ranges that the settings exclude."""
+        usable = (scan.ranges >= self._lidar.range_min) & (scan.ranges <= self._lidar.range_max)  # false for NaN
+        return replace(scan, ranges=np.where(usable, scan.ranges, np.nan))
 
 
 def _points(scan: DeskewedScan, mount: se2.Pose, sigma: float) -> ScanPoints:

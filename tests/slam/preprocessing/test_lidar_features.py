@@ -8,7 +8,7 @@ from drivers.messages import Odometry, Scan
 from slam.config import FeatureConfig, LidarConfig, OdometryConfig
 from slam.geometry.segments import CornerPoints, Segments
 from slam.matching.line_matcher import ScanFeatures
-from slam.matching.scan_points import ScanPoints
+from slam.matching.scan_points import POINT_UNIT, ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import OdometryHistory
 from slam.preprocessing.extraction import build_extractor
@@ -51,3 +51,24 @@ def test_chords_of_curved_surfaces_are_no_segments() -> None:
     assert len(features.segments) < 0.4 * len(every_line)
     assert np.abs(features.segments.frame[:, 0] - 2.0).min() < 0.02
     assert len(features.points.xy) > 300
+
+
+def test_ranges_outside_of_the_configured_limits_are_used_for_nothing() -> None:
+    """A square room, with parts of the robot 0.15 m from the lidar."""
+    angles = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    ranges = 2.0 / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
+    ranges[50:70] = 0.15
+    model, history = OdometryModel(OdometryConfig()), OdometryHistory()
+    for stamp in (0.0, 0.1, 0.2):
+        history.add(Odometry(stamp, np.zeros(3)))
+    lidar = LidarConfig(range_min=0.2, range_max=2.4)
+    extractor = LidarFeatures(lidar, FeatureConfig())
+    scan = Scan(0.1, ranges, angles, np.zeros(360), 0.1, 10.0)
+    features = extractor.extract(scan, history, model).in_base_frame(model)
+    distances = np.hypot(*features.points.xy.T)
+    assert np.count_nonzero((ranges >= 0.2) & (ranges <= 2.4)) == len(distances) > 200
+    assert distances.min() > 0.2
+    assert distances.max() < 2.4 + POINT_UNIT
+    ends = np.hypot(features.segments.frame[:, 0], features.segments.frame[:, 1]) + features.segments.half_length
+    assert len(features.segments) == 4
+    assert ends.max() < 4.0
