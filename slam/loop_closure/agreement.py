@@ -8,14 +8,15 @@ a rival. Looks count only if they are pairwise consistent (Mangelson et al., 201
 the old map must be that of the estimate. The estimate itself is tested, too: if it agrees with the match that starts
 there, the robot has returned, and nothing is corrected. If it does not, this match is a hypothesis like any other.
 
-The uncertainty of the estimate may be wrong itself. So if looks contradict the estimate, a hypothesis may also be
-accepted if errors that are the same all along the drive explain it; see `RelativeUncertainty`. And if no place is
-recognised within the uncertainty of the estimate, places are searched where the robot may be by such errors. If the
-estimate has the robot where nothing was mapped, it is not in doubt: a place that looks alike may be there.
+The uncertainty of the estimate may be too small itself. So if enough looks contradict the estimate, it is in doubt: a
+hypothesis may then also be accepted if errors that are the same all along the drive explain it, see
+`RelativeUncertainty`. If no place is recognised within the uncertainty of the estimate, places are also searched where
+such errors may have led the robot. Looks at a place where nothing was mapped do not contradict the estimate: the place
+may only look like an old one.
 
-Parts of the map that are not connected are joined in the same way. They are where odometry has put them, which no look
-confirms: a pose that fits there is one of the matches. If looks at what the other part has seen fit nowhere within the
-uncertainty, the estimate is refuted: see `LoopAgreement.refuted`.
+Parts of the map that are not connected are joined in the same way. Here the estimate is the motion between the parts
+that odometry has measured. No look supports it as such: a match near it is a hypothesis like any other. If looks at
+what the other part has seen fit nowhere within its uncertainty, it is refuted: see `LoopAgreement.refuted`.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ class LoopAgreement:
             self._last_search,
             self._submaps.places,
             tuple(self._searched.items()),
-            tuple(self._returns),
+            tuple(self._returned_at),
             tuple(self._contradictions),
             tuple(hypothesis.copy() for hypothesis in self._hypotheses),
             self._candidates,
@@ -162,7 +163,7 @@ class LoopAgreement:
     def _restore(self, state: LoopAgreementState, submaps: Submaps) -> None:
         self._last_search, self._submaps = state.last_search, submaps
         self._searched = dict(state.searched)  # metres driven up to the last search of each place
-        self._returns = list(state.returns)  # metres driven up to each look that agrees with the estimate
+        self._returned_at = list(state.returns)  # metres driven up to each look that agrees with the estimate
         self._contradictions = list(state.contradictions)  # metres driven up to each look that contradicts the estimate
         self._hypotheses = [h.copy() for h in state.hypotheses]
         self._candidates, self._retracted = state.candidates, list(state.retracted)
@@ -180,22 +181,23 @@ class LoopAgreement:
         self._last_search = now
         self._given_up += [h for h in self._hypotheses if now - h.support[-1].travelled >= MEMORY]
         self._hypotheses = [h for h in self._hypotheses if now - h.support[-1].travelled < MEMORY]
-        self._returns = [at for at in self._returns if now - at < MEMORY]
+        self._returned_at = [at for at in self._returned_at if now - at < MEMORY]
         self._searched = {place: at for place, at in self._searched.items() if now - at < MEMORY}
         look = Look(mapper, local_field, self._submaps, among, apart=self._joins)
         places = look.possible_places()
-        votes = self._votes(look, places)
+        votes = self._collect_votes(look, places)
         if self._joins:
             self._test_estimate(look, votes)
-        elif self._is_refuted(look) and not (self._returns or is_recognised(look, votes.all)):
+        elif self._is_estimate_in_doubt(look) and not (self._returned_at or is_recognised(look, votes.all)):
             look = look.doubting_estimate()
             places = look.possible_places()
             votes = votes.with_found(look, self._find(look, places, DOUBTED_PLACES))
         if not places:
             return None
-        self._vote(look, votes, local_field)
-        unsearched = any(place not in self._searched for place in places)  # one of them may be a rival
-        decision = None if unsearched else self._accepted(look)
+        self._count_votes(look, votes, local_field)
+        # A place that has not been searched yet may be a rival.
+        all_searched = all(place in self._searched for place in places)
+        decision = self._accepted(look) if all_searched else None
         if decision is None or self._is_excluded(look, decision.correction):
             self._note_rejections(look)
             return None
@@ -205,11 +207,14 @@ class LoopAgreement:
         """Return True if a motion in the map is that of a retracted closure."""
         return not all(differ(look, motion, retracted) for retracted in self._retracted)
 
-    def _is_refuted(self, look: Look) -> bool:
-        """Return True if looks contradict the estimate: the robot is at another place, however certain it may be."""
+    def _is_estimate_in_doubt(self, look: Look) -> bool:
+        """Return True if so many looks of the last MEMORY metres contradict the estimate that it is in doubt.
+
+        The robot is at another place then, however small the covariance of the estimate is.
+        """
         return sum(at >= look.travelled - MEMORY for at in self._contradictions) >= MIN_INDEPENDENT
 
-    def _votes(self, look: Look, places: Sequence[int]) -> Votes:
+    def _collect_votes(self, look: Look, places: Sequence[int]) -> Votes:
         """Match a look where the estimate and each hypothesis have the robot, and search it at old places."""
         at_estimate = None if self._joins else vote_at(look, np.zeros(3), look.last)
         tested = [(h, vote_at(look, h.motion, h.support[-1].keyframe)) for h in self._hypotheses]
@@ -221,9 +226,9 @@ class LoopAgreement:
         )
 
     def _test_estimate(self, look: Look, votes: Votes) -> None:
-        """Count a look as a contradiction of the motion between two parts if it fits nowhere within its uncertainty.
+        """Count a look as a contradiction of odometry's motion between two parts if it fits nowhere near that.
 
-        A look at what the other part has not seen is none.
+        Near is within the uncertainty of the motion. A look at what the other part has not seen contradicts nothing.
         """
         vote = vote_at(look, np.zeros(3), look.last)
         if vote is None or vote.match.known < MIN_KNOWN:
@@ -232,7 +237,10 @@ class LoopAgreement:
             self._contradictions.append(look.travelled)
 
     def _is_settled(self, look: Look, places: Sequence[int], vote: Vote | None) -> bool:
-        """Return True if the vote at the estimate agrees with it, and it is certain: other places need no search."""
+        """Return True if the vote at the estimate agrees with a certain estimate: other places need no search.
+
+        They count as searched then.
+        """
         agrees = vote is not None and is_good(vote) and look.agrees(vote.old, vote.match)
         settled = agrees and all(look.uncertainty.is_certain(place) for place in places)
         if settled:
@@ -245,7 +253,7 @@ class LoopAgreement:
         self._searched |= dict.fromkeys(chosen, look.travelled)
         return find_votes(look, chosen, self._search_place)
 
-    def _vote(self, look: Look, votes: Votes, local_field: LocalField) -> None:
+    def _count_votes(self, look: Look, votes: Votes, local_field: LocalField) -> None:
         """Let a look support or contradict the estimate and all hypotheses, and propose new ones."""
         followed, found = [vote.motion for _, vote in votes.tested], list(votes.found)
         if votes.at_estimate is not None and corrects_estimate(look, votes.at_estimate):
@@ -279,7 +287,7 @@ class LoopAgreement:
         if fits(vote.match) and vote.match.quality >= least and not is_elsewhere:
             if determined and look.agrees(vote.old, vote.match):
                 local_field.link(vote.old, look.last)
-                self._returns.append(look.travelled)
+                self._returned_at.append(look.travelled)
                 self.returns.append(Return.of(look, vote.old, vote.match))
                 self._contradictions = []
         elif vote.match.known >= MIN_KNOWN:
@@ -290,7 +298,7 @@ class LoopAgreement:
 
         One that has converged to the estimate is given up if the look agrees with that: nothing has to be corrected.
         """
-        has_returned = self._returns[-1:] == [look.travelled]
+        has_returned = self._returned_at[-1:] == [look.travelled]
         kept = list[LoopHypothesis]()
         for hypothesis in sorted(self._hypotheses, key=lambda h: -len(h.support)):
             others = [*(other.motion for other in kept), *([np.zeros(3)] if has_returned else [])]
@@ -311,13 +319,13 @@ class LoopAgreement:
     def _accepted(self, look: Look) -> LoopDecision | None:
         """Return a closure that looks agree on, if any. Looks that contradict the estimate put its errors in doubt."""
         decision = self._judgement(look).accepted()
-        if decision is None and not self._joins and self._is_refuted(look):
+        if decision is None and not self._joins and self._is_estimate_in_doubt(look):
             decision = self._judgement(look.doubting_estimate()).accepted()
         return decision
 
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""
-        return Judgement(look, self._contradictions, self._hypotheses, self._returns, self._joins)
+        return Judgement(look, self._contradictions, self._hypotheses, self._returned_at, self._joins)
 
 
 def _support(hypothesis: LoopHypothesis, look: Look, vote: Vote) -> None:

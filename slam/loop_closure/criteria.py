@@ -58,10 +58,11 @@ def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
 def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, joins: bool) -> tuple[Check, ...]:
     """Check that enough looks support a hypothesis, and that the uncertainty admits it if it leads elsewhere.
 
-    A place that looks alike may not be mapped yet. After driving as far as the robot may be off it is, so the looks
-    must extend over this distance. Furniture that was moved may look like another place in all looks that have it in
-    common. So the looks must extend over a submap, too, if the hypothesis leads there, if the estimate is in doubt, or
-    if there is no estimate, as parts of the map are joined.
+    Where the robot is, there may be another place that looks like the old one and is not mapped yet. It is mapped, and
+    is a rival, once the robot has driven as far as its position may be wrong, so the looks must extend over this
+    distance. Furniture that was moved may look like another place in all looks that show it. So the looks must extend
+    over the length of a submap as well if the hypothesis leads to another place, if the estimate is in doubt, or if
+    parts of the map are joined, for which there is no estimate.
 
     look     the last one
     against  number of looks that contradict the hypothesis
@@ -83,16 +84,15 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, join
 
 
 def prevails(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
-    """Return True if a rival has little support, or if enough looks support the hypothesis and contradict the rival."""
+    """Return True if a hypothesis is clearly better supported than a rival.
+
+    That is, if the last look does not support the rival, and few looks do at all; or if enough looks support the
+    hypothesis and contradict the rival, and few do the opposite.
+    """
     first, last = hypothesis.support[0].travelled, hypothesis.support[-1]
     supported_now = bool(rival.support) and rival.support[-1].keyframe == last.keyframe
     if not supported_now and len(hypothesis.support) >= SUPPORT_RATIO * rival.support_since(first):
         return True
-    return tell_apart(hypothesis, rival)
-
-
-def tell_apart(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:
-    """Return True if enough looks support a hypothesis and contradict a rival, and few do the opposite."""
     against = rival.discriminating_looks(hypothesis)
     return hypothesis.discriminating_looks(rival) >= SUPPORT_RATIO * max(1, against)
 

@@ -19,14 +19,14 @@ class Judgement:
     look            last look
     contradictions  metres driven up to each look that contradicts the estimate
     hypotheses      with at least one look each that supports them
-    returns         metres driven up to each look that agrees with the estimate
+    returned_at         metres driven up to each look that agrees with the estimate
     joins           true if the places are in parts of the map that are not connected with the last keyframe
     """
 
     look: Look
     contradictions: Sequence[float]
     hypotheses: Sequence[LoopHypothesis]
-    returns: Sequence[float]
+    returned_at: Sequence[float]
     joins: bool
 
     def accepted(self) -> LoopDecision | None:
@@ -60,7 +60,7 @@ class Judgement:
     def _checks(self, hypothesis: LoopHypothesis) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
         first = hypothesis.support[0].travelled
-        against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returns))
+        against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returned_at))
         return support_checks(hypothesis, self.look, against, joins=self.joins)
 
     def _decide(
@@ -68,7 +68,8 @@ class Judgement:
     ) -> LoopDecision:
         """Return the decision to close the loop of a hypothesis."""
         count, first = len(hypothesis.support), hypothesis.support[0].travelled
-        doubted = min([first, *self.contradictions])
+        # Metres driven up to the begin of the submap of the first look that shows that the estimate is wrong.
+        wrong_since = min([first, *self.contradictions]) - SUBMAP_LENGTH
         return confirm(
             self.look,
             hypothesis,
@@ -76,6 +77,6 @@ class Judgement:
             rival_support=max((rival.support_since(first) for rival in rivals), default=0),
             contradictions=hypothesis.contradictions_since(first),
             checks=checks,
-            since=self.look.first_of_part if self.joins else self.look.keyframe_at(doubted - SUBMAP_LENGTH),
+            since=self.look.first_of_part if self.joins else self.look.keyframe_at(wrong_since),
             joins=self.joins,
         )

@@ -13,8 +13,9 @@ from .submap_search import SUBMAP_LENGTH
 
 # Largest squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
 MAX_SQUARED_DISTANCE = 16.3
-# Standard deviations of the estimate within which places are searched. Origin: definition, all that are admitted: else
-# one that looks alike may be within them, and the right one beyond.
+# Standard deviations of the estimate within which places are searched. Origin: definition, all places that
+# MAX_SQUARED_DISTANCE admits. If only nearer ones were searched, a place that looks like the right one might be among
+# them, and the right one, its rival, not.
 SEARCH_DEVIATIONS = math.sqrt(MAX_SQUARED_DISTANCE)
 # Metres, metres, radians: errors of the estimate that its covariance does not contain, such as slips that were not
 # recognised. Origin: chosen; not measured.

@@ -233,7 +233,7 @@ def test_match_that_leaves_the_estimate_supports_the_hypothesis_of_the_place_tha
     agreement, motion = LoopAgreement(), np.array([0.6, 0.2, 0.0])
     agreement.restore(LoopAgreementState(hypotheses=[LoopHypothesis(motion, list(matches))]), LocalField())
     (hypothesis,) = agreement._hypotheses
-    agreement._vote(look, Votes(vote_for(motion), [(hypothesis, vote_for(motion))], []), LocalField())
+    agreement._count_votes(look, Votes(vote_for(motion), [(hypothesis, vote_for(motion))], []), LocalField())
     (followed,) = agreement.state.hypotheses
     assert [match.travelled for match in followed.support] == [*(match.travelled for match in matches), look.travelled]
     assert agreement.state.contradictions == (look.travelled,)
@@ -248,7 +248,7 @@ def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
     look, matches = matches_along_a_hall(StubMap(np.diag([0.1, 0.1, 0.02]) ** 2), [motion[0]] * 5)
     hypothesis, agreement = LoopHypothesis(motion, matches), LoopAgreement()
     agreement.restore(LoopAgreementState(contradictions=contradicted, hypotheses=[hypothesis]), LocalField())
-    agreement._vote(look, Votes(None, [(agreement._hypotheses[0], vote_for(motion))], []), LocalField())
+    agreement._count_votes(look, Votes(None, [(agreement._hypotheses[0], vote_for(motion))], []), LocalField())
     decision = agreement._accepted(look)
     assert (decision is not None) == accepted
     assert decision is None or decision.doubted
@@ -257,7 +257,7 @@ def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
 def test_match_that_corrects_the_estimate_a_little_is_a_hypothesis_and_no_contradiction() -> None:
     look, _ = matches_along_a_hall(StubMap(np.diag([0.3, 0.3, 0.03]) ** 2), [0.0] * 5)
     agreement = LoopAgreement()
-    agreement._vote(look, Votes(vote_for(np.array([0.4, 0.0, 0.0])), [], []), LocalField())
+    agreement._count_votes(look, Votes(vote_for(np.array([0.4, 0.0, 0.0])), [], []), LocalField())
     (proposed,) = agreement.state.hypotheses
     assert proposed.motion[0] == 0.4
     assert not agreement.state.contradictions
