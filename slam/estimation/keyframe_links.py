@@ -17,7 +17,7 @@ from ..matching.distance_field import DistanceField
 from ..matching.offset_tiles import MAX_DISTANCE
 from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction, match_points
 from ..preprocessing.preprocessor import ProcessedScan
-from .keyframe_motions import UNMEASURED_MOTION_SIGMAS, point_motion_by
+from .keyframe_motions import UNMEASURED_MOTION_SIGMAS, scan_match_by
 from .slam_state import SlamState
 
 # Metres and radians: standard deviations of the pose of a new scan relative to an old one up to which it is matched to
@@ -50,7 +50,7 @@ def link_revisited(state: SlamState, scan: ProcessedScan) -> bool:
         return False
     state.local_field.link(old, last)
     if match is not None:
-        mapper.add_point_motion(point_motion_by(state, scan, match, old))
+        mapper.add_scan_match(scan_match_by(state, scan, match, old))
         mapper.graph.update_until_converged()
         mapper.read_back_all()
     return True

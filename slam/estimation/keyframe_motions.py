@@ -1,4 +1,4 @@
-"""Motions between keyframes that enter the graph: by odometry, and by the points of scans."""
+"""Measurements between keyframes that enter the graph: motions by odometry, and scan matches."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..localisation.tracking import TrackingResult
-from ..mapping.keyframes import KeyframeMotion, PointMotion
+from ..mapping.keyframes import KeyframeMotion, RelativeScanMatch
 from ..matching.point_matcher import INDEPENDENT_SHARE, PointMatch, point_information
 from ..matching.shared_points import split_information
 from ..preprocessing.preprocessor import ProcessedScan
@@ -25,7 +25,13 @@ UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
 
 
 def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking: TrackingResult) -> KeyframeMotion:
-    """Return odometry's motion since the anchor with its covariance, and update the odometry model."""
+    """Return odometry's motion from the anchor to a scan that becomes a keyframe, and learn odometry's errors from it.
+
+    odometry  pose of odometry at the scan
+
+    A robot that was kidnapped since the anchor is where registration has it, with a weak prior; this is stored with the
+    keyframe. The states `kidnapped` and `slipped` end here: the next motion begins at the new keyframe.
+    """
     model, registration = state.odometry_model, tracking.registration
     measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
     covariance, correlated_drift = np.diag(UNMEASURED_MOTION_SIGMAS**2), np.zeros((2, 2))
@@ -36,7 +42,7 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
         learn_motion(state, odometry, tracking)
         motion = model.correct(measured)
         covariance = model.covariance(motion)
-        if state.slipped:  # by as much as registration says
+        if state.slipped:  # odometry is wrong by as much as registration says
             error = se2.between(motion, registered)
             covariance = covariance + np.diag(error**2)
         correlated_drift = model.correlated_drift(motion, registration.total_information)
@@ -45,13 +51,13 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
     return KeyframeMotion(anchor.keyframe, se2.compose(anchor.relative, motion), covariance, correlated_drift)
 
 
-def point_motions_of(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> list[PointMotion]:
-    """Return the pose of a scan relative to old keyframes nearby, by its points that are on no known wall.
+def relative_scan_matches(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> list[RelativeScanMatch]:
+    """Return the scan matches of a new keyframe with old ones nearby, by its points that are on no known wall.
 
-    It is measured relative to the oldest one by the surfaces that this one has seen, and relative to later ones by the
-    other surfaces. If all surfaces counted relative to the oldest one, the errors of the keyframes that have placed the
-    newer surfaces would count as measured, too. If all counted relative to the latest one, surfaces that were seen long
-    ago would not limit the drift since then.
+    Its pose is measured relative to the oldest one by the surfaces that this one has seen, and relative to later ones
+    by the other surfaces. If all surfaces counted relative to the oldest one, the errors of the keyframes that have
+    placed the newer surfaces would count as measured, too. If all counted relative to the latest one, surfaces that
+    were seen long ago would not limit the drift since then.
     """
     field, registration = state.local_field, tracking.registration
     references = field.references(state.pose)
@@ -61,26 +67,26 @@ def point_motions_of(state: SlamState, scan: ProcessedScan, tracking: TrackingRe
     relatives = [se2.between(pose, registration.point_pose) for _, pose in references]
     of_references = [field.points(keyframe) for keyframe, _ in references]
     parts = split_information(registration.point_information, of_references, points, relatives)
-    return [_point_motion(state, scan, references[row][0], relatives[row], part) for row, part in parts]
+    return [_scan_match_with(state, scan, references[row][0], relatives[row], part) for row, part in parts]
 
 
-def point_motion_by(state: SlamState, scan: ProcessedScan, match: PointMatch, keyframe: int) -> PointMotion:
-    """Return the pose of the last keyframe relative to an old one, by the match of its scan with the points there."""
+def scan_match_by(state: SlamState, scan: ProcessedScan, match: PointMatch, keyframe: int) -> RelativeScanMatch:
+    """Return the scan match of the last keyframe with an old one, by the match of its scan with the points there."""
     relative = se2.between(state.mapper.keyframe_poses[keyframe], match.pose)
-    return _point_motion(state, scan, keyframe, relative, match.information)
+    return _scan_match_with(state, scan, keyframe, relative, match.information)
 
 
-def _point_motion(
+def _scan_match_with(
     state: SlamState, scan: ProcessedScan, keyframe: int, relative: se2.Pose, information: Floats
-) -> PointMotion:
-    """Return a motion by points, given their information (3, 3).
+) -> RelativeScanMatch:
+    """Return the scan match with a keyframe at a `relative` pose, given its information (3, 3) by points.
 
     The sweep of the earlier scan is taken to be like that of this one.
     """
     limited = partial(state.odometry_model.limit_information, travel=scan.travel)
     of_start = point_information(state.local_field.points(keyframe), unbiased=True)
     covariance, start_covariance = (_covariance_of(limited(INDEPENDENT_SHARE * one)) for one in (information, of_start))
-    return PointMotion(keyframe, relative, covariance, start_covariance)
+    return RelativeScanMatch(keyframe, relative, covariance, start_covariance)
 
 
 def _covariance_of(information: Floats) -> Floats:

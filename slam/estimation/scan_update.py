@@ -29,7 +29,7 @@ from ..odometry.history import wheel_travel
 from ..odometry.systematic_errors import MIN_MOTION_TRAVEL
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_links import link_revisited, undetermined_share
-from .keyframe_motions import motion_since, point_motions_of
+from .keyframe_motions import motion_since, relative_scan_matches
 from .keyframe_selection import MIN_EXPLAINED, is_due, learn_between_keyframes
 from .loop_update import search_loop
 from .slam_state import RELOCALISED_RADIUS, SlamState
@@ -252,7 +252,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     timer.lap("association")
     begins_part = state.at_part_begin
     motion = None if state.anchor is None else motion_since(state, state.anchor, scan.odometry, tracking)
-    point_motions = point_motions_of(state, scan, tracking)
+    scan_matches = relative_scan_matches(state, scan, tracking)
     observations = mapper.add_keyframe(
         state.pose,
         motion,
@@ -260,7 +260,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
         features.corners,
         association,
         state.local_map,
-        point_motions,
+        scan_matches,
         features.points.xy,
     )
     state.keyframe_stamps.append(scan.stamp)

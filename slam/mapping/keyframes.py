@@ -66,8 +66,8 @@ class KeyframeMotion:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointMotion:
-    """Pose `relative` of a new keyframe in the frame of an earlier one, `start`, from matching the points of its scan.
+class RelativeScanMatch:
+    """Scan match: pose `relative` of a new keyframe in the frame of the points of an earlier one, `start`.
 
     covariance        (3, 3) in the new keyframe's frame, of the noise of its own scan
     start_covariance  (3, 3) in the earlier keyframe's frame, of the noise of that keyframe's scan

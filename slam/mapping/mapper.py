@@ -22,7 +22,7 @@ from .keyframes import (
     KeyframeObservations,
     KeyframeRecords,
     LandmarkIds,
-    PointMotion,
+    RelativeScanMatch,
     WallMerge,
 )
 from .landmark_ids import assign_landmark_ids
@@ -130,14 +130,15 @@ class Mapper(MappedKeyframes):
         corners: CornerPoints,
         association: Association,
         local_map: LocalMap,
-        point_motions: Sequence[PointMotion] = (),
+        scan_matches: Sequence[RelativeScanMatch] = (),
         points: Floats = NO_POINTS,
     ) -> KeyframeObservations:
-        """Add a keyframe near `pose`; the graph is updated after SOLVE_DISTANCE or SOLVE_TURN.
+        """Add a keyframe; the graph is updated after SOLVE_DISTANCE or SOLVE_TURN.
 
+        pose          [x, y, heading] in the map, from registration; initial value in the graph
         motion        from an earlier keyframe; None for the first
         association   of its segments and corners with rows of `local_map`; unmatched features become landmarks
-        point_motions  from earlier keyframes, by points on no known wall
+        scan_matches  with earlier keyframes, by points on no known wall
         points        (p, 2) of its scan, in its frame: walls that it sees through are removed
         """
         keyframe = self.keyframe_count
@@ -147,8 +148,8 @@ class Mapper(MappedKeyframes):
         )
         begins_part = keyframe > 0 and keyframe == self.landmarks.parts.firsts[-1]
         self.add_keyframe_with_ids(pose, motion, segments, corners, landmark_ids, apart=begins_part)
-        for point_motion in point_motions:
-            self.add_point_motion(point_motion)
+        for scan_match in scan_matches:
+            self.add_scan_match(scan_match)
         observations = KeyframeObservations(
             segments,
             corners,
@@ -192,10 +193,10 @@ class Mapper(MappedKeyframes):
         self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
         self._unconfirmed.move_confirmed(self.graph, self.landmarks, landmark_ids, keyframe, pose)
 
-    def add_point_motion(self, motion: PointMotion) -> None:
-        """Add a motion from an earlier keyframe to the last one. Takes effect with the graph's next update."""
-        self.graph.add_point_map(motion.start, motion.start_covariance)
-        self.graph.add_scan_match(motion.start, self.keyframe_count - 1, motion.relative, motion.covariance)
+    def add_scan_match(self, match: RelativeScanMatch) -> None:
+        """Add a scan match of the last keyframe with an earlier one. Takes effect with the graph's next update."""
+        self.graph.add_point_map(match.start, match.start_covariance)
+        self.graph.add_scan_match(match.start, self.keyframe_count - 1, match.relative, match.covariance)
 
     @property
     def is_solved(self) -> bool:

@@ -13,7 +13,7 @@ from drivers import se2
 from slam.estimation.keyframe_links import link_revisited
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField, LocalFieldState
-from slam.mapping.keyframes import PointMotion
+from slam.mapping.keyframes import RelativeScanMatch
 from slam.matching.line_matcher import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
@@ -30,7 +30,7 @@ def room(pose: se2.Pose) -> ScanFeatures:
     return ScanFeatures(NOTHING, NO_CORNERS, ScanPoints(points))
 
 
-def link(error: Floats) -> tuple[bool, list[PointMotion]]:
+def link(error: Floats) -> tuple[bool, list[RelativeScanMatch]]:
     """Return if the last keyframe of a second pass is linked, whose poses in the map are wrong by `error`, and matches.
 
     The matches are those that enter the graph.
@@ -42,7 +42,7 @@ def link(error: Floats) -> tuple[bool, list[PointMotion]]:
     for pose in true:
         field.add(room(pose))
     field.restore(LocalFieldState(poses[-1, :2], (), {}, range(PASS, 2 * PASS), poses[PASS:]))  # of the second pass
-    motions: list[PointMotion] = []
+    motions: list[RelativeScanMatch] = []
     covariances = SimpleNamespace(relative_bound=lambda *_, **__: 1e-4 * np.eye(3))
     parts = SimpleNamespace(connected=lambda keyframes: np.ones(len(keyframes), dtype=bool))
     mapper: Any = SimpleNamespace(
@@ -51,7 +51,7 @@ def link(error: Floats) -> tuple[bool, list[PointMotion]]:
         travelled=travelled.tolist(),
         covariances=covariances,
         landmarks=SimpleNamespace(parts=parts),
-        add_point_motion=motions.append,
+        add_scan_match=motions.append,
         graph=SimpleNamespace(update_until_converged=lambda: None),
         read_back_all=lambda: None,
     )
