@@ -24,7 +24,8 @@ CHECK_INTERVAL = 1.5
 # closure. Origin: measured, on data that are not recorded: doors open and furniture moves, so correct closures
 # reach a third.
 MAX_ADDED_CONTRADICTION = 0.45
-# Checks in a row that must exceed it: single ones are caused by doors and people. Origin: chosen; not measured.
+# Checks in a row that must exceed MAX_ADDED_CONTRADICTION: doors and people cause single ones. Origin: chosen; not
+# measured.
 CONFIRMING_CHECKS = 2
 # Scans for which a closure is monitored at most, as the driven distance grows with keyframes only, and a robot that
 # stays in familiar places adds none. Origin: chosen, ten minutes of a common lidar; the distance takes some minutes.
@@ -68,10 +69,11 @@ class ClosureMonitor:
             closure.scans.append(scan)
 
     def contradicted(self, mapper: Mapper, *, lost: bool) -> MonitoredClosure | None:
-        """Return the oldest contradicted closure with its decision retracted, and stop monitoring it.
+        """Check the closures; return the oldest contradicted one with its decision retracted, and stop monitoring it.
 
-        `lost` is True if tracking is lost: then the oldest monitored closure counts as contradicted. Closures after the
-        contradicted one are not monitored any more, since they are undone with it.
+        lost  true if tracking is lost: then the oldest monitored closure counts as contradicted
+
+        Closures after the contradicted one are not monitored any more, since they are undone with it.
         """
         travelled = mapper.travelled[-1]
         self._closures = [
@@ -80,7 +82,7 @@ class ClosureMonitor:
             if travelled - c.travelled <= MONITORED_DISTANCE and len(c.scans) <= MONITORED_SCANS
         ]
         for position, closure in enumerate(self._closures):
-            reason = "tracking was lost after it" if lost else _reason_to_retract(closure, mapper)
+            reason = "tracking was lost after it" if lost else _check(closure, mapper)
             if reason:
                 del self._closures[position:]
                 closure.decision = replace(closure.decision, status=LoopStatus.RETRACTED, reason=reason)
@@ -88,10 +90,11 @@ class ClosureMonitor:
         return None
 
 
-def _reason_to_retract(closure: MonitoredClosure, mapper: Mapper) -> str:
-    """Return the reason to retract a closure, empty if there is none.
+def _check(closure: MonitoredClosure, mapper: Mapper) -> str:
+    """Check a closure if CHECK_INTERVAL has been driven since its last check, and count contradictions in a row.
 
-    A closure is contradicted if segments observed since then would have been hidden behind older walls.
+    A closure is contradicted if segments observed since then would have been hidden behind older walls. Returns the
+    reason to retract it, empty if there is none.
     """
     if mapper.travelled[-1] - closure.last_check < CHECK_INTERVAL:
         return ""

@@ -4,16 +4,16 @@ A scan that does not fit begins a new part of the map at once, but one scan is w
 the robot change the view as much as being carried does. So the state from before is kept, and tracks the next scans as
 well. In the right part of the map nearly each scan fits where odometry predicts it, elsewhere nearly none. The
 sequential test of Wald for two such probabilities p and 1 - p counts the scans that fit minus those that do not; it
-is decided at a margin n with an error probability of about ((1 - p) / p)^n. Scans count at the smaller distance of
-keyframes: those of a robot that stands repeat each other. A test of a robot that stands ends like the monitoring of a
-closure.
+is decided at a margin n with an error probability of about ((1 - p) / p)^n. Only scans at least CLOSE_SHARE of the
+distance between keyframes apart count: those of a robot that stands repeat each other. While the robot stands, the test
+goes on for as many scans as a closure is monitored.
 
-That holds for poses that odometry predicts. If tracking finds a pose elsewhere by search, as after a slip, the next
-scans may fit there one after the other, as in a look-alike corridor. So a scan counts as fitting only if its pose
-agrees with odometry since the robot was last seen in the part.
+These probabilities are those of poses that odometry predicts. If tracking finds a pose elsewhere by search, as after a
+slip, the next scans may fit there one after the other, as in a look-alike corridor. So a scan counts as fitting only if
+its pose agrees with odometry since the robot was last seen in the part.
 
-Tracking accepts scans of which only half of the points fit, as around people. Where little of the map is in view, one
-scan after the other may fit as poorly as that elsewhere, too. So a poor fit says nothing.
+Tracking also accepts scans of which only half of the points fit, as among people. Where little of the map is in view,
+scans from another place may fit as well as that, one after the other. So a poor fit does not count.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MAX_TEST_DISTANCE = 10.0
 class EarlierPart:
     """State before a part of the map began, in which the robot may still be.
 
-    state    with the poses of the scans since then; its map stays as it was, so that only this is tested
+    state    with the poses of the scans since then; its map does not grow, so only the map from before is tested
     monitor  of its recent loop closures
     """
 
@@ -60,8 +60,8 @@ class EarlierPart:
     def add(self, scan: ProcessedScan) -> TrackingResult | None:
         """Track a scan in the earlier part.
 
-        Once the robot seems to be elsewhere, scans that would not count are left out, and the result is None: to search
-        for a scan that fits nowhere takes most of the time of a lost robot.
+        Once the robot seems to be elsewhere, scans that would not count are left out, and the result is None. Most of
+        the time of a lost robot would be spent on searching poses for scans that fit nowhere.
         """
         self._scans += 1
         if self._balance == -DECIDING_MARGIN and not self._counts(scan.odometry):
@@ -113,11 +113,14 @@ class EarlierPart:
         return 0.0 if self._counted is None else float(wheel_travel(se2.between(self._counted, odometry)))
 
     @property
-    def holds(self) -> bool:
+    def confirmed(self) -> bool:
         """True if the robot has not left the part."""
         return self._balance >= DECIDING_MARGIN
 
     @property
-    def left(self) -> bool:
-        """True if the robot is somewhere else by now, whether it was carried or not, or stands for long."""
+    def expired(self) -> bool:
+        """True if the test ends undecided.
+
+        The robot has driven beyond the map of the part, whether it had left the part before or not, or stands for long.
+        """
         return self._travelled > MAX_TEST_DISTANCE or self._scans > MONITORED_SCANS

@@ -160,12 +160,15 @@ class Estimator:
         return ScanResult(tracking, update, None, self.state.mapper, began_part=True)
 
     def _test_earlier_part(self, scan: ProcessedScan) -> ScanResult | None:
-        """Add a scan to the test if the robot has left the earlier part; return the effects if it has not."""
+        """Add a scan to the test of the earlier part; return to that part if it shows that the robot has not left it.
+
+        The result is None if the robot stays in the present part.
+        """
         assert self._earlier is not None
         tracking = self._earlier.add(scan)
-        if self._earlier.left:
+        if self._earlier.expired:
             self._earlier = None
-        if tracking is None or self._earlier is None or not self._earlier.holds:
+        if tracking is None or self._earlier is None or not self._earlier.confirmed:
             return None
         self.state, self._monitor = self._earlier.state, self._earlier.monitor
         self._earlier = self._frozen_state = None

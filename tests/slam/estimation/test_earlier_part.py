@@ -36,7 +36,7 @@ def earlier_part() -> EarlierPart:
     return EarlierPart(state, ClosureMonitor())
 
 
-def holds(monkeypatch: pytest.MonkeyPatch, results: list[TrackingResult], error: se2.Pose = EXACT) -> bool:
+def is_confirmed(monkeypatch: pytest.MonkeyPatch, results: list[TrackingResult], error: se2.Pose = EXACT) -> bool:
     """Return True if the robot is found not to have left the part, after scans with these results, a metre apart.
 
     error  of odometry: the pose of a scan in the frame of the one that odometry predicts, metres and radians
@@ -50,15 +50,15 @@ def holds(monkeypatch: pytest.MonkeyPatch, results: list[TrackingResult], error:
     monkeypatch.setattr("slam.estimation.earlier_part.track", track)
     for k in range(len(results)):
         part.add(ProcessedScan(float(k), np.array([float(k), 0.0, 0.0]), FEATURES))
-    return part.holds
+    return part.confirmed
 
 
 def test_scans_that_fit_well_show_that_the_robot_is_still_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not holds(monkeypatch, [tracking_result()] * (DECIDING_MARGIN - 1))
-    assert holds(monkeypatch, [tracking_result()] * DECIDING_MARGIN)
+    assert not is_confirmed(monkeypatch, [tracking_result()] * (DECIDING_MARGIN - 1))
+    assert is_confirmed(monkeypatch, [tracking_result()] * DECIDING_MARGIN)
     misfit = tracking_result(TrackingStatus.FAILED)
-    assert not holds(monkeypatch, [misfit, *[tracking_result()] * DECIDING_MARGIN])
-    assert holds(monkeypatch, [misfit, *[tracking_result()] * (DECIDING_MARGIN + 1)])
+    assert not is_confirmed(monkeypatch, [misfit, *[tracking_result()] * DECIDING_MARGIN])
+    assert is_confirmed(monkeypatch, [misfit, *[tracking_result()] * (DECIDING_MARGIN + 1)])
 
 
 @pytest.mark.parametrize(
@@ -74,12 +74,12 @@ def test_scans_that_fit_half_or_show_little_say_nothing(
     monkeypatch: pytest.MonkeyPatch, undecided: TrackingResult
 ) -> None:
     """In another building, half of the points fit the little that was mapped, scan after scan."""
-    assert not holds(monkeypatch, [undecided] * 9)
-    assert holds(monkeypatch, [*[undecided] * 9, *[tracking_result()] * DECIDING_MARGIN])
+    assert not is_confirmed(monkeypatch, [undecided] * 9)
+    assert is_confirmed(monkeypatch, [*[undecided] * 9, *[tracking_result()] * DECIDING_MARGIN])
 
 
 def test_scans_against_odometry_do_not_show_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert not holds(monkeypatch, [tracking_result(slipped=True)] * 9)
+    assert not is_confirmed(monkeypatch, [tracking_result(slipped=True)] * 9)
 
 
 @pytest.mark.parametrize("error", [[3.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2]], ids=["shifted", "turned"])
@@ -87,8 +87,8 @@ def test_scans_that_fit_one_after_the_other_where_odometry_did_not_lead_do_not_s
     monkeypatch: pytest.MonkeyPatch, error: list[float]
 ) -> None:
     """A robot that was carried seemed to stand in another corridor of the part, as tracking had found a pose there."""
-    assert not holds(monkeypatch, [tracking_result()] * 9, np.array(error))
-    assert holds(monkeypatch, [tracking_result()] * 9, 0.01 * np.array(error))
+    assert not is_confirmed(monkeypatch, [tracking_result()] * 9, np.array(error))
+    assert is_confirmed(monkeypatch, [tracking_result()] * 9, 0.01 * np.array(error))
 
 
 def test_scans_that_would_not_count_are_left_out_once_the_robot_seems_elsewhere(
@@ -112,4 +112,4 @@ def test_scans_that_would_not_count_are_left_out_once_the_robot_seems_elsewhere(
     assert len(tracked) == begun
     for stamp in range(20, 20 + 2 * DECIDING_MARGIN):  # it drives where it was all the time
         part.add(ProcessedScan(float(stamp), np.array([float(stamp), 0.0, 0.0]), FEATURES))
-    assert part.holds
+    assert part.confirmed
