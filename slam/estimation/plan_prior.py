@@ -54,7 +54,7 @@ class PlanPrior:
         self._recognition = PlanRecognition(plan_map, start, start_covariance)
         self._supported: set[int] = set()  # walls of the map
         self._observed = -1  # last keyframe whose walls were compared with the plan
-        self._anchored = 0  # last keyframe that saw a wall which the plan supports
+        self._last_supported = 0  # last keyframe that saw a wall which the plan supports
 
     def __deepcopy__(self, memo: dict[int, object]) -> PlanPrior:
         """Return an independent copy; the plan is never changed and is shared."""
@@ -71,10 +71,10 @@ class PlanPrior:
             return False
         if self.recognised:
             self._support_observed(mapper)
-            if mapper.travelled[-1] - mapper.travelled[self._anchored] < SUBMAP_LENGTH:
+            if mapper.travelled[-1] - mapper.travelled[self._last_supported] < SUBMAP_LENGTH:
                 self._recognition.discard_submaps()
                 return False
-        found = self._recognition.search(mapper, local_field, self._anchored if self.recognised else None)
+        found = self._recognition.search(mapper, local_field, self._last_supported if self.recognised else None)
         if found is None:
             return False
         return self._correct(mapper, found.motion) if self.recognised else self._move_to_plan(mapper, found)
@@ -142,7 +142,7 @@ class PlanPrior:
         mapper.graph.update_until_converged()
         mapper.read_back_all()
         mapper.equalise_covariances()
-        self.recognised, self._anchored, self._observed = True, found.keyframe, last
+        self.recognised, self._last_supported, self._observed = True, found.keyframe, last
         return True
 
     def _correct(self, mapper: Mapper, motion: se2.Pose) -> bool:
@@ -162,7 +162,7 @@ class PlanPrior:
         graph.remove_factors(temporary)
         graph.update_until_converged(CLOSING_UPDATES)
         mapper.read_back_all()
-        self._anchored = last
+        self._last_supported = last
         self._recognition.discard_submaps()
         return True
 
@@ -176,7 +176,7 @@ class PlanPrior:
         known = self._are_supported(walls)
         new = walls[~known]
         normal = np.column_stack([-np.sin(rows["frame"][new, 2]), np.cos(rows["frame"][new, 2])])
-        drift = mapper.correlated_drift[last] - mapper.correlated_drift[self._anchored]
+        drift = mapper.correlated_drift[last] - mapper.correlated_drift[self._last_supported]
         covariances = rows["covariance_in_map"][new].copy()
         covariances[:, 0, 0] += np.maximum(np.einsum("ni,ij,nj->n", normal, drift, normal), 0.0)
         agreeing = walls_on_plan(new, rows["frame"][new], _extents(mapper, new), covariances, self._walls)
@@ -184,7 +184,7 @@ class PlanPrior:
             self._support(mapper, agreeing)
             mapper.graph.update()
         if agreeing or known.any():
-            self._anchored = last
+            self._last_supported = last
 
     def _support(self, mapper: Mapper, stated: list[PlanWall]) -> None:
         """Add what the plan states about walls to the graph, effective with its next update.

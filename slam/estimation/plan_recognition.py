@@ -81,10 +81,11 @@ class PlanRecognition:
         """Discard the submaps of the drive: the plan supports the walls around the robot again."""
         self._drive.clear()
 
-    def search(self, mapper: Mapper, local_field: LocalField, anchored: int | None) -> PlacedMap | None:
+    def search(self, mapper: Mapper, local_field: LocalField, last_supported: int | None) -> PlacedMap | None:
         """Return the place of the map in the plan if it is certain.
 
-        anchored  last keyframe that saw a wall which the plan supports; None if the map is not in the plan's frame
+        last_supported  last keyframe that saw a wall which the plan supports; None if the map is not in the plan's
+                        frame yet
         """
         travelled = np.asarray(mapper.travelled)
         last, now = mapper.keyframe_count - 1, float(travelled[-1])
@@ -92,19 +93,19 @@ class PlanRecognition:
             return None
         self._last_keyframe, self._last_distance = last, now
         recent = (travelled > now - RECENT_DISTANCE) & mapper.landmarks.parts.connected(np.arange(last + 1))
-        if anchored is None and self._start is not None:
+        if last_supported is None and self._start is not None:
             aligned = self._align(mapper, recent, self._start, self._start_covariance)
             if aligned is not None:
                 return aligned
-        first = _first(mapper) if anchored is None else anchored + 1
-        return self.find(mapper, local_field, anchored) if self._drive.is_due(mapper, first) else None
+        first = _begin_of_last_run(mapper) if last_supported is None else last_supported + 1
+        return self.find(mapper, local_field, last_supported) if self._drive.is_due(mapper, first) else None
 
-    def find(self, mapper: Mapper, local_field: LocalField, anchored: int | None = None) -> PlacedMap | None:
+    def find(self, mapper: Mapper, local_field: LocalField, last_supported: int | None = None) -> PlacedMap | None:
         """Search for the drive up to now; arguments and result are those of `search`."""
-        first, near = _first(mapper), None
-        if anchored is not None:
-            covariance = _pose_covariance(mapper, anchored) + np.diag(UNMODELLED_SIGMAS**2)
-            first, near = anchored + 1, Uncertainty(covariance)
+        first, near = _begin_of_last_run(mapper), None
+        if last_supported is not None:
+            covariance = _pose_covariance(mapper, last_supported) + np.diag(UNMODELLED_SIGMAS**2)
+            first, near = last_supported + 1, Uncertainty(covariance)
         location = locate(self._drive.take(mapper, local_field, first), self._map, STATED, near)
         if not location.accepted:
             return None
@@ -133,8 +134,8 @@ class PlanRecognition:
         return PlacedMap(motion, keyframe, np.asarray(covariance)) if near and fits else None
 
 
-def _first(mapper: Mapper) -> int:
-    """Return the first of the last keyframes that are in the connected part of the map, one after the other."""
+def _begin_of_last_run(mapper: Mapper) -> int:
+    """Return the keyframe with which the last unbroken run of keyframes in the connected part of the map begins."""
     connected = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count))
     return 0 if connected.all() else int(np.flatnonzero(~connected)[-1]) + 1
 
@@ -145,8 +146,11 @@ def _scan_plan(plan_map: PlanMap, index: MapIndex) -> ScannedMap:
     return scan_map(index, poses, [surface_points(v.points, v.segments, POINT_SPACING) for v in plan_map.views])
 
 
-def _pose_covariance(mapper: Mapper, anchored: int) -> Floats:
-    """Return the covariance (3, 3) of the last keyframe's pose in the plan, in its own frame."""
+def _pose_covariance(mapper: Mapper, last_supported: int) -> Floats:
+    """Return the covariance (3, 3) of the last keyframe's pose in the plan, in its own frame.
+
+    last_supported  last keyframe that saw a wall which the plan supports: drift counts from there on
+    """
     last = mapper.keyframe_count - 1
-    drift = embed_position_covariance(mapper.correlated_drift[last] - mapper.correlated_drift[anchored])
+    drift = embed_position_covariance(mapper.correlated_drift[last] - mapper.correlated_drift[last_supported])
     return mapper.graph.keyframe_covariance(last) + rotate_covariance(drift, -float(mapper.pose[2]))
