@@ -141,9 +141,8 @@ class Slam:
         if self._motions.predicted:
             result = replace(result, tracking=replace(result.tracking, slipped=False))  # there is nothing that can slip
         if not self.frozen and self.slam_state.in_familiar_place:
-            self._journal.mark_last_familiar()
-        self._journal.mark_localised()
-        self._journal.mark_decided(self._estimator.state.keyframe_stamps)
+            self._journal.note_familiar_place()
+        self._journal.mark_dispensable(self._estimator.state.keyframe_stamps)
         self._statistics.lost_scans += self._localisation.lost
         self._report.add(processed, result, self.slam_state, self._preprocessor.noise.sigma_range, timer)
         self._localisation.update(processed.stamp, result, self._estimator)
@@ -297,9 +296,9 @@ class Slam:
         self._process_queue()
         add_second_look(self.slam_state)
         self._leave_out_unknown_session()
-        self._journal.mark_last_decided(self.slam_state.keyframe_stamps)
+        self._journal.mark_rest_dispensable(self.slam_state.keyframe_stamps)
         self._session = session or self._stored.at_end(self.slam_state.copy())
-        self.slam_state.local_field.begin_part()  # frees some megabytes: no scan is matched with it any more
+        self.slam_state.local_field.clear()  # frees some megabytes: no scan is matched with it any more
         self.slam_state.loops.free_submaps()
         if self._extends_map:
             self._statistics.merged_walls += converge(self.slam_state.mapper)

@@ -36,6 +36,10 @@ LOCALISED_SCANS = 20_000
 class Journal:
     """Processed scans and odometry, of an earlier session that is continued and of this run.
 
+    The features of a scan take most of its memory. They are dispensable if the map does not need them: those of a scan
+    in a familiar place, those of a robot that stands, after the first STANDING_SCANS there, and those of older scans
+    that were only localised. Features of keyframes never are.
+
     scans        in time order
     segments     odometry, split where it is not continuous
     first_row    row in `scans` of this run's first scan
@@ -51,9 +55,7 @@ class Journal:
         *,
         keep_all_features: bool,
     ) -> None:
-        """`keep_all_features` also keeps the features of scans in familiar places, and of a robot that stands: memory
-        then grows with time.
-        """
+        """`keep_all_features` also keeps dispensable features: memory then grows with time."""
         self.scans = ScanSequence(scans)
         self.segments = OdometrySegments(odometry, starts)
         self.first_row, self.resumed_at = len(self.scans), resumed_at
@@ -75,16 +77,16 @@ class Journal:
         """Return the features of the scan with a stamp (seconds)."""
         return self.scans.features(int(np.searchsorted(self.scans.stamps, stamp)))
 
-    def mark_last_familiar(self) -> None:
+    def note_familiar_place(self) -> None:
         """State that the last scan was taken in a familiar place: its features did not enter the map."""
         self._familiar.append(len(self.scans) - 1)
 
-    def mark_decided(self, keyframe_stamps: Sequence[float]) -> None:
-        """Mark the scan before the last UNDECIDED_SCANS if it was taken in a familiar place, or by a robot that stands,
-        after STANDING_SCANS others there, unless it is a keyframe.
+    def mark_dispensable(self, keyframe_stamps: Sequence[float]) -> None:
+        """Mark the scans as dispensable that certainly are by now; to be called after each scan.
 
-        To be called after each scan; `keyframe_stamps` are those of all keyframes so far, in time order.
+        keyframe_stamps  seconds, of all keyframes so far, in time order
         """
+        self._mark_localised()
         row = len(self.scans) - 1 - UNDECIDED_SCANS
         familiar = bool(self._familiar) and self._familiar[0] == row
         if familiar:
@@ -92,16 +94,30 @@ class Journal:
         if familiar or row - self._standing_since >= STANDING_SCANS:
             self._mark_unless_keyframe(row, keyframe_stamps)
 
-    def mark_last_decided(self, keyframe_stamps: Sequence[float]) -> None:
-        """Mark all scans that were taken in familiar places; at the end of the run none becomes a keyframe any more."""
+    def mark_rest_dispensable(self, keyframe_stamps: Sequence[float]) -> None:
+        """Mark the last scans in familiar places at the end of the run, when none becomes a keyframe any more."""
         while self._familiar:
             self._mark_unless_keyframe(self._familiar.popleft(), keyframe_stamps)
 
+    def _mark_localised(self) -> None:
+        """Mark the scan before the last LOCALISED_SCANS if it was only localised."""
+        row = len(self.scans) - 1 - LOCALISED_SCANS
+        if any(begin <= row < end for begin, end in self._localised):
+            self._mark(row)
+
     def _mark_unless_keyframe(self, row: int, keyframe_stamps: Sequence[float]) -> None:
+        """Mark a scan, unless it is a keyframe."""
         stamp = float(self.scans.stamps[row])
         place = bisect.bisect_left(keyframe_stamps, stamp)
         if place == len(keyframe_stamps) or keyframe_stamps[place] != stamp:
-            self._mark_dispensable(row)
+            self._mark(row)
+
+    def _mark(self, row: int) -> None:
+        """Drop the features of a scan, or remember that they are dispensable if all are kept."""
+        if self._keep_all_features:
+            self._dispensable.add(row)
+        else:
+            self.scans.drop_features([row])
 
     def begin_localising(self) -> None:
         """State that scans are only localised from the next one on, and that none becomes a keyframe."""
@@ -111,18 +127,6 @@ class Journal:
         """State that the map is extended again; a part of it may begin with one of the last UNDECIDED_SCANS."""
         begin, _ = self._localised.pop()
         self._localised.append((begin, len(self.scans) - UNDECIDED_SCANS))
-
-    def mark_localised(self) -> None:
-        """Mark the scan before the last LOCALISED_SCANS if it was only localised; to be called after each."""
-        row = len(self.scans) - 1 - LOCALISED_SCANS
-        if any(begin <= row < end for begin, end in self._localised):
-            self._mark_dispensable(row)
-
-    def _mark_dispensable(self, row: int) -> None:
-        if self._keep_all_features:
-            self._dispensable.add(row)
-        else:
-            self.scans.drop_features([row])
 
     def start_odometry_segment(self) -> OdometryHistory:
         """Start a new odometry segment with the next scan, which is the first one of this run."""

@@ -27,7 +27,7 @@ def place(state: SlamState, pose: se2.Pose, scan: ProcessedScan) -> bool:
     keyframe, relative = _relative_to_nearest(state.mapper.keyframe_poses, pose)
     covariance = np.diag(INITIAL_POSE_SIGMAS**2)
     state.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
-    state.local_field.begin_part()
+    state.local_field.clear()
     state.update_local_field()
     state.move_to(pose, scan.odometry)
     target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variance)

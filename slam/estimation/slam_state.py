@@ -216,7 +216,7 @@ class SlamState:
         self.tracker.start_again(pose, odometry)
         self.pose, self.untracked_scans, self.tentative, self.last_view = pose, [], [], None
         self.local_map = empty_local_map()
-        self.local_field.begin_part()
+        self.local_field.clear()
         self.loops.clear()
         self.joins = JoinSearch(expected)
 

@@ -176,8 +176,8 @@ class LocalField:
         """Return True if scans do not determine the whole motion from one keyframe to a later one."""
         return any(since < gap <= keyframe for gap in self._gaps)
 
-    def begin_part(self) -> None:
-        """Empty the field: the next keyframe may be anywhere."""
+    def clear(self) -> None:
+        """Empty the field, as where a new part of the map begins: the next keyframe may be anywhere."""
         self.field, self._linked = DistanceField.empty(self.field.centre), True
         self._inserted, self._inserted_poses = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         self._successor = self._recent = None

@@ -177,8 +177,8 @@ def test_features_of_a_keyframe_are_kept_although_it_seemed_to_be_in_a_familiar_
     journal = Journal(keep_all_features=False)
     for scan in scans:
         journal.add(scan)
-        journal.mark_last_familiar()
-        journal.mark_decided([scans[2].stamp, scans[-2].stamp])
+        journal.note_familiar_place()
+        journal.mark_dispensable([scans[2].stamp, scans[-2].stamp])
     assert journal.scans.has_features.tolist() == [False, False, True, False, False] + [True] * UNDECIDED_SCANS
-    journal.mark_last_decided([scans[2].stamp, scans[-2].stamp])
+    journal.mark_rest_dispensable([scans[2].stamp, scans[-2].stamp])
     assert np.flatnonzero(journal.scans.has_features).tolist() == [2, len(scans) - 2]
