@@ -88,7 +88,7 @@ class Estimator:
         on_trial = self._frozen_state is not None
         tracking = track(self.state, scan, timer)
         self._monitor.record(scan)  # before a closure, whose checkpoint includes this scan
-        if tracking.abrupt:  # it fits here by chance, as in a look-alike place
+        if tracking.fits_by_chance:
             return self._begin_part_with([scan], timer, kidnapped=True)
         update = update_map(self.state, scan, tracking, timer)
         if update is not None and update.loop is not None and update.loop.status is LoopStatus.CONFIRMED:

@@ -78,10 +78,10 @@ class KeyframeUpdate:
 def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingResult:
     """Estimate the pose of a scan and store it in the state."""
     _follow_prediction(state, scan)
-    in_new_map = not state.frozen and not state.kidnapped and not state.at_part_begin and state.anchor is not None
+    has_mapped_here = not (state.frozen or state.kidnapped or state.at_part_begin) and state.anchor is not None
     recent = partial(state.local_field.recent, state.mapper.keyframe_poses, state.mapper.travelled)
     target = MatchTarget(
-        state.local_map, state.local_field.field, state.mapper.roughness.variance, recent if in_new_map else None
+        state.local_map, state.local_field.field, state.mapper.roughness.variance, recent if has_mapped_here else None
     )
     features = correct_range_bias(scan.features, state.mapper.graph.range_bias.metres)
     tracking = state.tracker.track(scan.stamp, scan.odometry, features, target)
@@ -215,7 +215,7 @@ def _extend_trajectory_by_tentative(state: SlamState, stamp: float, tracking: Tr
 
     Odometry has failed there, so it may lead anywhere. A tentative pose is kept until the next scan confirms it.
     """
-    earlier = state.tentative if tracking.follows else []
+    earlier = state.tentative if tracking.from_tentative else []
     state.tentative = [*earlier, (stamp, tracking)] if tracking.status is TrackingStatus.TENTATIVE else []
     if tracking.status is not TrackingStatus.TRACKED or state.anchor is None or state.at_part_begin:
         return

@@ -99,8 +99,8 @@ class MatchTarget:
         explained = fit * known / max(1, len(points))
         return ScanMatch(match, others, registration, fit, known, explained)
 
-    def contradict(self, scan: ScanFeatures, pose: se2.Pose) -> bool:
-        """Return True if a considerable part of what a scan at a pose shows of known space does not fit."""
+    def contradicts(self, scan: ScanFeatures, pose: se2.Pose) -> bool:
+        """Return True if a scan at a pose contradicts the map: much of what it shows of known space does not fit."""
         _, fit, known = point_cost(self.field, points_of(scan), pose)
         return known >= MIN_KNOWN_POINTS and fit < SEARCH_FIT
 

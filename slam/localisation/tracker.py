@@ -134,12 +134,17 @@ class Tracker:
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
         differs = self._views.add(View(odometry, scan.points.xy), self._predictor.model, suspicious=suspicious)
-        abrupt = tracked and (differs or (slipped and match.poor and self._views.changed))
-        if abrupt:
+        fits_by_chance = tracked and (differs or (slipped and match.poor and self._views.changed))
+        if fits_by_chance:
             status, slipped = TrackingStatus.FAILED, False
-        follows = self._predictor.tentative is not None and match.points.prediction in predictions[-FROM_TENTATIVE:]
+        from_last_tentative = predictions[-FROM_TENTATIVE:] if self._predictor.tentative is not None else []
         result = _result(
-            match, status, slipped=slipped, abrupt=abrupt, follows=follows, contradicts_old_map=alone is not None
+            match,
+            status,
+            slipped=slipped,
+            fits_by_chance=fits_by_chance,
+            from_tentative=match.points.prediction in from_last_tentative,
+            contradicts_old_map=alone is not None,
         )
         self._update(result, match, predictions[0], odometry)
         return result
@@ -176,26 +181,28 @@ class Tracker:
         elsewhere = expected.squared_distance(match.points.pose) > KERNEL**2
         if alone.contradicts(usual) or not elsewhere or alone.known < MIN_KNOWN_POINTS or alone.poor:
             return None
-        return alone if last_metres.contradict(scan, match.points.pose) else None
+        return alone if last_metres.contradicts(scan, match.points.pose) else None
 
     def _judge(
         self, match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
     ) -> tuple[TrackingStatus, bool]:
-        """Return the status of a scan, and True if odometry has slipped."""
+        """Return the status of a scan, and True if it shows that odometry has slipped since its reference."""
         usual, slip = predictions[0], predictions[1] if len(predictions) > 1 else None
         chosen, pose = match.points.prediction, match.points.pose
         contradicts = usual.squared_distance(pose) > KERNEL**2
         # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
-        resolved = (self._predictor.tentative is not None or chosen is not slip) and not contradicts
-        confirmed = not resolved and chosen is not usual and chosen is not slip
-        slipped = (
-            not resolved
+        odometry_holds = (self._predictor.tentative is not None or chosen is not slip) and not contradicts
+        # An earlier slip is confirmed: the pose was found from a tentative one, or where odometry has caught up.
+        confirmed = not odometry_holds and chosen is not usual and chosen is not slip
+        # Only an even motion leads here, and not odometry as well: the next scan has to confirm that.
+        seems_slipped = (
+            not odometry_holds
             and chosen is slip
             and not any(other.prediction is usual and _same_place(match, other) for other in match.others)
         )
         if _too_few_features(scan) and len(target.landmarks.walls):
             return TrackingStatus.NO_FEATURES, False
-        if not match.plausible or (slipped and chosen.squared_distance(pose) > MAX_SLIP**2):
+        if not match.plausible or (seems_slipped and chosen.squared_distance(pose) > MAX_SLIP**2):
             return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
         # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.
@@ -206,13 +213,19 @@ class Tracker:
             and not self._predictor.is_after_gap(scans, MAX_UNTRACKED_SCANS)
         )
         doubtful = confirmed and (match.poor or _ambiguous(match)) and not agree_for_long
-        if slipped or doubtful or (match.poor and self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)):
+        if seems_slipped or doubtful or (match.poor and self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)):
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirmed or contradicts
 
 
 def _result(
-    match: ScanMatch, status: TrackingStatus, *, slipped: bool, abrupt: bool, follows: bool, contradicts_old_map: bool
+    match: ScanMatch,
+    status: TrackingStatus,
+    *,
+    slipped: bool,
+    fits_by_chance: bool,
+    from_tentative: bool,
+    contradicts_old_map: bool,
 ) -> TrackingResult:
     """Return the result of tracking with a match; for the other arguments see `TrackingResult`."""
     prior = match.points.prediction.information
@@ -229,8 +242,8 @@ def _result(
         match.known,
         match.poor,
         slipped,
-        abrupt,
-        follows,
+        fits_by_chance,
+        from_tentative,
         contradicts_old_map,
     )
 

@@ -44,10 +44,12 @@ class TrackingResult:
     known         number of points in space that was seen before
     poor          True if a considerable part of these points does not fit
     slipped       True if odometry's motion since the reference contradicts the pose
-    abrupt        True if the scan fits by chance only: it is then FAILED, and the robot may have been kidnapped
-    follows       True if the pose was found from the tentative pose of the scan before, which is right if this one is
-    contradicts_old_map  True if the scan was matched to the last metres alone, as the map of earlier passes contradicts
-                         them and odometry
+    fits_by_chance  True if the scan fits here although its view has changed abruptly: the status is then FAILED, and
+                    the robot may have been kidnapped to a place that looks alike
+    from_tentative  True if the pose was found from the tentative pose of the scan before, which it confirms if this
+                    scan is TRACKED
+    contradicts_old_map  True if the scan was matched to the last metres alone, as these and odometry contradict the map
+                         of earlier passes
     """
 
     pose: se2.Pose
@@ -60,8 +62,8 @@ class TrackingResult:
     known: int
     poor: bool
     slipped: bool
-    abrupt: bool
-    follows: bool = False
+    fits_by_chance: bool
+    from_tentative: bool = False
     contradicts_old_map: bool = False
 
     @property

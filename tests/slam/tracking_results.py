@@ -38,5 +38,5 @@ def tracking_result(
         known,
         poor=poor,
         slipped=slipped,
-        abrupt=False,
+        fits_by_chance=False,
     )
