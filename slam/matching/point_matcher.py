@@ -79,20 +79,20 @@ MAX_SEARCH_POINTS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Prediction of a pose.
+    """Prediction of a pose, with a Cauchy kernel of the scale KERNEL.
 
     pose         [x, y, heading] of the base in the map
     information  (3, 3), in its own frame
     cost         minus the logarithm of the probability that the prediction holds at all
-    kernel       scale of the Cauchy kernel, standard deviations; a large one for a normal distribution
-    inertia      where the pose must be as well, roughly: a robot changes its velocity gradually; None if not known
-    search_sigmas  (2,) metres and radians: SEARCH_DEVIATIONS times these are searched around it; None for its own
+    inertia      prediction of an even motion, whose distance is a further cost of a pose, as a robot changes its
+                 velocity gradually; None if the velocity is not known
+    search_sigmas  (2,) metres and radians: SEARCH_DEVIATIONS times these are searched around the pose; None for the
+                 standard deviations of the prediction itself
     """
 
     pose: se2.Pose
     information: Floats
     cost: float = 0.0
-    kernel: float = KERNEL
     inertia: Prediction | None = None
     search_sigmas: Floats | None = None
 
@@ -108,11 +108,7 @@ class Prediction:
 
     def _robust(self, pose: se2.Pose) -> float:
         """Return the cost of a pose in excess of `least_cost`, without that of `inertia`."""
-        return 0.5 * self.kernel**2 * math.log1p(self.squared_distance(pose) / self.kernel**2)
-
-    def weight(self, pose: se2.Pose) -> float:
-        """Return the share of the information that the kernel leaves at a pose."""
-        return 1.0 / (1.0 + self.squared_distance(pose) / self.kernel**2)
+        return 0.5 * KERNEL**2 * math.log1p(self.squared_distance(pose) / KERNEL**2)
 
     def squared_distance(self, pose: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose."""
@@ -197,7 +193,7 @@ def _search_around(field: DistanceField, points: Floats, share: float, predictio
     return np.asarray(
         search_grid(
             field.arrays, points, share,
-            prediction.pose, prediction.information, prediction.kernel, shift, turn,
+            prediction.pose, prediction.information, KERNEL, shift, turn,
         )
     )  # fmt: skip
 
@@ -214,7 +210,7 @@ def match_from(
     The points (p, 5), with normals, are used as they are.
     """
     pose, information, cost, fit, known = _match_from(
-        field.arrays, points, start, prediction.pose, prediction.information, prediction.kernel, sigmas
+        field.arrays, points, start, prediction.pose, prediction.information, sigmas
     )
     total = cost / POINTS_PER_OBJECT + prediction.cost_of(pose)
     return PointMatch(pose, information, prediction, total, fit, known)
@@ -262,7 +258,11 @@ def _add_square(total, x, y, unit_x, unit_y, weight):  # type: ignore[no-untyped
 
 
 @compiled
-def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # type: ignore[no-untyped-def]
+def _match_from(field, points, start, prediction, prior, sigmas):  # type: ignore[no-untyped-def]
+    """Run Gauss-Newton; return the fields of `PointMatch`, with the cost of the points alone; see `match_from`.
+
+    prediction, prior  pose (3,) in the map and its information (3, 3)
+    """
     pose, memory = start.copy(), memory_for(len(points))
     information, gradient, found = np.zeros((3, 3)), np.zeros(3), 0
     robust, total = np.empty((3, 3)), np.empty((3, 3))
@@ -270,7 +270,7 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
         for _ in range(MAX_STEPS):
             found = add_points(pose, points, field, sigma, information, gradient, memory)
             error = difference(prediction, pose)
-            scale = 1.0 + quadratic_form(prior, error[0], error[1], error[2]) / kernel**2
+            scale = 1.0 + quadratic_form(prior, error[0], error[1], error[2]) / KERNEL**2
             for k in range(3):
                 for m in range(3):
                     robust[k, m] = prior[k, m] / scale
@@ -288,6 +288,7 @@ def _match_from(field, points, start, prediction, prior, kernel, sigmas):  # typ
 
 @compiled
 def _squared_distance(prediction, information, pose):  # type: ignore[no-untyped-def]
+    """Return the squared Mahalanobis distance of a pose from a prediction; the information is in the latter's frame."""
     c, s = math.cos(prediction[2]), math.sin(prediction[2])
     x, y = pose[0] - prediction[0], pose[1] - prediction[1]
     return quadratic_form(information, c * x + s * y, c * y - s * x, wrap_angle(pose[2] - prediction[2]))
