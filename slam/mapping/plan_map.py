@@ -20,7 +20,7 @@ from ..geometry.segments import Floats, Integers, Segments
 from .landmarks import Landmarks
 from .map_features import MapWalls
 from .plan import Plan
-from .plan_views import Ray, cast_views
+from .plan_views import RaysFromPlace, cast_views
 from .ray_casting import pieces_near_line
 from .wall_cells import cells_between
 
@@ -90,9 +90,9 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
     Without views there are no walls: the plan has no place that a robot fits in.
     """
     frames, members, spans = _merge_pieces(plan)
-    rays = cast_views(plan)
+    casts = cast_views(plan)
     covariance = _covariances(spans, sigmas, plan.precision)
-    seen = [_visible_parts(ray, plan, frames, members) for ray in rays]
+    seen = [_visible_parts(cast, plan, frames, members) for cast in casts]
     random = np.random.default_rng(0)
     covered: list[set[int]] = [set() for _ in frames]
     for _, parts in seen:
@@ -101,9 +101,9 @@ def build_plan_map(plan: Plan, sigmas: tuple[float, float]) -> PlanMap:
     kept = [wall for wall, cells in enumerate(covered) if cells]
     number = {wall: row for row, wall in enumerate(kept)}
     seen_frames, seen_covariance, views = frames[kept], covariance[kept], []
-    for ray, (points, parts) in zip(rays, seen, strict=True):
+    for cast, (points, parts) in zip(casts, seen, strict=True):
         parts = [(number[wall], low, high) for wall, low, high in parts if wall in number]
-        views.append(_view(ray.position, _noisy(points, random), parts, seen_frames, seen_covariance))
+        views.append(_view(cast.position, _noisy(points, random), parts, seen_frames, seen_covariance))
     walls = _walls(seen_frames, [covered[wall] for wall in kept], spans[kept], seen_covariance, views)
     rest = np.flatnonzero([not cells for cells in covered])
     hidden = se2.transform(frames[rest][:, None], np.stack([spans[rest], np.zeros((len(rest), 2))], axis=-1))
@@ -186,14 +186,14 @@ def _covariances(spans: Floats, sigmas: tuple[float, float], precision: float) -
 
 
 def _visible_parts(
-    ray: Ray, plan: Plan, frames: Floats, members: Integers
+    rays: RaysFromPlace, plan: Plan, frames: Floats, members: Integers
 ) -> tuple[Floats, list[tuple[int, float, float]]]:
     """Return the points (p, 2) that rays from a place meet, and the visible parts of faces: face, begin and end."""
-    met = ray.piece >= 0
-    piece, bearing, distance = ray.piece[met], ray.bearing[met], ray.distance[met]
-    points = ray.position + distance[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    met = rays.piece >= 0
+    piece, bearing, distance = rays.piece[met], rays.bearing[met], rays.distance[met]
+    points = rays.position + distance[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
     start, end = plan.segments[piece, 0], plan.segments[piece, 1]
-    along, beam = end - start, ray.position - start
+    along, beam = end - start, rays.position - start
     on_left = along[:, 0] * beam[:, 1] - along[:, 1] * beam[:, 0] > 0.0
     face = members[piece, np.where(on_left, 0, 1)]
     visible = on_left | ~plan.one_sided[piece]
@@ -203,7 +203,7 @@ def _visible_parts(
         position = se2.transform(se2.inverse(frames[face[rows[0]]]), points[rows])[:, 0]
         if len(rows) >= MIN_RAYS and np.ptp(position) >= MIN_VISIBLE:
             parts.append((int(face[rows[0]]), float(position.min()), float(position.max())))
-    return points[visible] - ray.position, parts
+    return points[visible] - rays.position, parts
 
 
 def _noisy(points: Floats, random: np.random.Generator) -> Floats:

@@ -36,7 +36,7 @@ CHUNK = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ray:
+class RaysFromPlace:
     """Rays from a place.
 
     position  (2,) metres
@@ -51,7 +51,7 @@ class Ray:
     piece: Integers
 
 
-def cast_views(plan: Plan) -> list[Ray]:
+def cast_views(plan: Plan) -> list[RaysFromPlace]:
     """Cast rays from the places of a plan, or from a square grid, and return those of places inside, as a short tour.
 
     A place of the grid is between the lines, with VIEWPOINT_CLEARANCE around it. A place is inside if most of its rays
@@ -65,19 +65,19 @@ def cast_views(plan: Plan) -> list[Ray]:
     index, bearing = SegmentIndex.of(plan.segments), 2.0 * math.pi * (np.arange(RAYS) + 0.5) / RAYS
     directions = np.column_stack([np.cos(bearing), np.sin(bearing)])
     thickness, least = SAME_WALL_DEVIATIONS * plan.precision, math.ceil(MIN_MEETING * RAYS)
-    rays: list[Ray] = []
+    casts: list[RaysFromPlace] = []
     for first in range(0, len(places), CHUNK):
         some = places[first : first + CHUNK]
         hits = cast_rays(index, plan.one_sided, thickness, some, directions, RAY_REACH, least)
         inside = np.flatnonzero(hits.visible >= least).tolist()
-        rays += [Ray(some[k], bearing, hits.distance[k].copy(), hits.row[k].copy()) for k in inside]
-        if len(rays) > MAX_VIEWS:
+        casts += [RaysFromPlace(some[k], bearing, hits.distance[k].copy(), hits.row[k].copy()) for k in inside]
+        if len(casts) > MAX_VIEWS:
             width, height = plan.size
             raise MapError(
                 f"{plan.name}: has room for more than {MAX_VIEWS} views in {width:.4g} m x {height:.4g} m; state the "
                 "unit of a drawing with --plan-unit, or use a part of the plan"
             )
-    return [rays[k] for k in tour(np.array([ray.position for ray in rays]).reshape(-1, 2)).tolist()]
+    return [casts[k] for k in tour(np.array([cast.position for cast in casts]).reshape(-1, 2)).tolist()]
 
 
 def find_viewpoints(plan: Plan) -> Floats:
