@@ -39,20 +39,6 @@ MIN_OBSERVATIONS_TO_MERGE = 3
 
 
 @dataclass(frozen=True, slots=True)
-class Duplicate:
-    """Two rows of the local map that are one wall.
-
-    along     metres along the first wall at which the second's frame is
-    distance  squared Mahalanobis distance between the two
-    """
-
-    first: int
-    second: int
-    along: float
-    distance: float
-
-
-@dataclass(frozen=True, slots=True)
 class Overlap:
     """Two walls, given by their rows `first` and `second`, that run alongside each other.
 
@@ -83,7 +69,7 @@ class Overlap:
 
 def find_duplicate_wall(
     local_map: LocalMap, mature: NDArray[np.bool_], observed: NDArray[np.bool_], roughness: float
-) -> Duplicate | None:
+) -> WallMerge | None:
     """Return the pair of walls of the local map that are one with the smallest distance; None if there is none.
 
     mature     (n,) which walls have been observed often enough; both walls of a pair must be mature
@@ -97,7 +83,7 @@ def find_duplicate_wall(
     if len(rows) < 2:
         return None
     pairs = find_overlaps(local_map.frame[rows], local_map.low[rows], local_map.high[rows])
-    best: Duplicate | None = None
+    best: WallMerge | None = None
     for pair in pairs:
         first, second = int(rows[pair.first]), int(rows[pair.second])
         if not (observed[first] or observed[second]):
@@ -106,7 +92,7 @@ def find_duplicate_wall(
         at_second = _covariance_along(local_map.wall_covariance[second], pair.middle - pair.along)
         distance = pair.distance(at_first + at_second, roughness)
         if distance < MERGE_GATE and (best is None or distance < best.distance):
-            best = Duplicate(first, second, pair.along, distance)
+            best = WallMerge(int(local_map.walls[first]), int(local_map.walls[second]), distance)
     return best
 
 
@@ -120,10 +106,7 @@ def find_observed_duplicate(
     rows = landmarks.walls.rows[local_map.walls]
     mature = rows["in_graph"] & (rows["observations"] >= MIN_OBSERVATIONS_TO_MERGE)
     observed = is_among(local_map.walls, observed_walls)
-    found = find_duplicate_wall(local_map, mature, observed, roughness)
-    if found is None:
-        return None
-    return WallMerge(int(local_map.walls[found.first]), int(local_map.walls[found.second]), found.distance)
+    return find_duplicate_wall(local_map, mature, observed, roughness)
 
 
 def merge_duplicate_walls(

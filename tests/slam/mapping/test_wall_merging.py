@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
+from slam.mapping.keyframes import WallMerge
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, local_map_around
-from slam.mapping.wall_merging import Duplicate, find_duplicate_wall
+from slam.mapping.wall_merging import find_duplicate_wall
 
 
 def pair(second: tuple[float, float, float], sigma: float = 0.003, half: float = 1.0) -> LocalMap:
@@ -17,15 +18,14 @@ def pair(second: tuple[float, float, float], sigma: float = 0.003, half: float =
     return local_map_around(landmarks, np.zeros(3), 50.0, np.zeros((1, 3, 3)))
 
 
-def duplicate(local_map: LocalMap, mature: bool = True, observed: bool = True) -> Duplicate | None:
+def duplicate(local_map: LocalMap, mature: bool = True, observed: bool = True) -> WallMerge | None:
     return find_duplicate_wall(local_map, np.array([True, mature]), np.array([False, observed]), 1e-6)
 
 
 def test_two_landmarks_on_one_wall_are_found() -> None:
     found = duplicate(pair((1.2, 0.004, -0.003)))
     assert found is not None
-    assert (found.first, found.second) == (0, 1)
-    assert found.along == pytest.approx(1.2)
+    assert (found.kept, found.absorbed) == (0, 1)
     assert found.distance < 5.0
 
 
