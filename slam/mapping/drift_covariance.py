@@ -32,9 +32,10 @@ if TYPE_CHECKING:
 # Conditions at most, evenly chosen of those that say anything; the time grows with the square of the number. Conditions
 # between the same places say the same. Origin: numerical.
 MAX_CONDITIONS = 150
-# Kinds of factors that state the place of a wall across it, and the place of a keyframe. Origin: definition.
+# Kinds of factors that state the place of a wall across it. Origin: definition.
 WALL_CONDITIONS = FactorKind.WALL_OFFSET, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL
-RELATIVE = FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE  # Origin: as WALL_CONDITIONS.
+# Kinds of factors that state the pose of a keyframe, relative to another one or in the map. Origin: definition.
+POSE_CONDITIONS = FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,7 +156,8 @@ def _conditions_of(mapper: Mapper) -> _Conditions:
 
 def _conditional_factors(mapper: Mapper) -> list[Factor]:
     """Return the factors that state conditions."""
-    return [factor for factor in mapper.graph.solver.factors.values() if factor.kind in WALL_CONDITIONS + RELATIVE]
+    factors = mapper.graph.solver.factors.values()
+    return [factor for factor in factors if factor.kind in WALL_CONDITIONS + POSE_CONDITIONS]
 
 
 def _conditions_of_kind(mapper: Mapper, group: FactorsOfKind) -> tuple[Integers, _Conditions]:

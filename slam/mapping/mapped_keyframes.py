@@ -76,9 +76,10 @@ class MappedKeyframes:
         self.pose_covariances = covariances
 
     def append_covariance(self) -> None:
-        """Append the covariance of the last keyframe, that of the one before until the graph is solved.
+        """Append a preliminary covariance of the last keyframe: that of the one before it.
 
-        Local maps add the uncertainty of tracking.
+        `replace_last_covariances` sets its own one when the graph has been solved with it. Until then local maps lack
+        the uncertainty of the motion in between; data association adds that of tracking.
         """
         last = self.pose_covariances[-1] if len(self._pose_covariances) else np.zeros((3, 3))
         self._pose_covariances.append(last)

@@ -44,7 +44,7 @@ class Pass:
 
 def separate_pass(
     mapper: Mapper,
-    one: Pass,
+    new_pass: Pass,
     segments: Sequence[Segments],
     *,
     ties: Collection[tuple[int, int]] = (),
@@ -65,18 +65,19 @@ def separate_pass(
     been solved with all keyframes. Returns (w,) which walls are of the pass alone. Raises MapError if a variable is
     left undetermined.
     """
-    landmarks, division = mapper.landmarks, _Division(mapper, one)
+    landmarks, division = mapper.landmarks, _Division(mapper, new_pass)
     factors = mapper.graph.solver.sorted_factors()
     equalities = [factor for factor in factors if factor.kind is FactorKind.WALL_EQUALITY]
     kept, copied = division.equalities(equalities, set(ties), set(merged))
     pairs = {(factor.first, factor.second) for factor in kept}
-    start = one.keyframes.start
-    before = min(int(np.searchsorted(mapper.travelled, mapper.travelled[start] - one.gap, side="right")), start) - 1
+    start = new_pass.keyframes.start
+    gap_begins = mapper.travelled[start] - new_pass.gap
+    before = min(int(np.searchsorted(mapper.travelled, gap_begins, side="right")), start) - 1
 
     def is_removed(factor: Factor) -> bool:
         if factor.kind is FactorKind.WALL_EQUALITY:
             return (factor.first, factor.second) not in pairs
-        across = factor.kind in MATCH_KINDS and factor.first <= before and factor.second in one.keyframes
+        across = factor.kind in MATCH_KINDS and factor.first <= before and factor.second in new_pass.keyframes
         return across or remove(factor)
 
     _add_copies(mapper, division)
@@ -84,24 +85,24 @@ def separate_pass(
     mapper.graph.update_until_converged()
     mapper.landmark_ids = _with_copies(mapper.landmark_ids, division)
     mapper.read_back_all()
-    restored = landmarks.restore_walls(division.older_walls, one.keyframes)
+    restored = landmarks.restore_walls(division.older_walls, new_pass.keyframes)
     walls = division.concerned(restored)
     _observe_again(mapper, walls, [*kept, *copied], segments)
     shown = walls[landmarks.walls.rows["merged_into"][walls] == walls]
     recompute_covariances(landmarks, mapper.graph, shown.tolist(), [one.copy for one in division.corners])
     first_seen = landmarks.walls.rows["first_seen"]
-    return np.asarray((first_seen >= one.keyframes.start) & (first_seen < one.keyframes.stop))
+    return np.asarray((first_seen >= new_pass.keyframes.start) & (first_seen < new_pass.keyframes.stop))
 
 
 class _Division:
     """Division of a map's landmarks between a pass and the other keyframes.
 
     walls, corners  copies of those that the pass observes again and others observe, too
-    older_walls     walls of the graph that are not of the pass
+    older_walls     observed walls that are not of the pass alone
     """
 
-    def __init__(self, mapper: Mapper, one: Pass) -> None:
-        self._keyframes, self._gap = one.keyframes, one.gap
+    def __init__(self, mapper: Mapper, new_pass: Pass) -> None:
+        self._keyframes, self._gap = new_pass.keyframes, new_pass.gap
         self._groups = dict(enumerate(mapper.landmarks.walls.rows["merged_into"].tolist()))
         self._seen = _observers(mapper, FactorKind.WALL_HEADING)
         together: dict[int, frozenset[int]] = {}  # by the walls into which they were merged
@@ -109,18 +110,18 @@ class _Division:
             together[self._groups[wall]] = together.get(self._groups[wall], frozenset()) | seen
         self._first = {root: min(seen) for root, seen in together.items()}
         self._travelled = travelled = np.asarray(mapper.travelled)
-        self._again = {root: _seen_again(seen, one, travelled) for root, seen in together.items()}
+        self._again = {root: _seen_again(seen, new_pass, travelled) for root, seen in together.items()}
         again = {wall: seen & self._again[self._groups[wall]] for wall, seen in self._seen.items()}
         self.walls = _copies(self._seen, again, len(mapper.landmarks.walls))
         corners = _observers(mapper, FactorKind.CORNER)
-        again = {corner: _seen_again(seen, one, travelled) for corner, seen in corners.items()}
+        again = {corner: _seen_again(seen, new_pass, travelled) for corner, seen in corners.items()}
         self.corners = _copies(corners, again, len(mapper.landmarks.corners))
         self.older_walls = [wall for wall in self._seen if not self._is_of_pass(wall)]
         self._unmerged = set[int]()  # walls of which others are separated that were merged into them
         self._copy = {one.original: one.copy for one in self.walls}
 
     def _is_of_pass(self, wall: int) -> bool:
-        """Return True if a wall that is observed, none of the copies, is of the pass."""
+        """Return True if an original wall is observed, and is of the pass alone."""
         root = self._groups[wall]
         return wall in self._seen and (self._first[root] in self._keyframes or self._seen[wall] <= self._again[root])
 
@@ -133,13 +134,13 @@ class _Division:
         return bool(len(one) and len(other) and np.abs(one[:, None] - other[None]).min() > self._gap)
 
     def of_pass(self, wall: int) -> int | None:
-        """Return the wall or its copy that is of the pass; None if there is none."""
+        """Return the copy of a wall, or the wall itself if it is of the pass alone; None if it is not of the pass."""
         return self._copy.get(wall, wall if self._is_of_pass(wall) else None)
 
     def equalities(
         self, factors: Iterable[Factor], ties: Set[tuple[int, int]], merged: Set[tuple[int, int]]
     ) -> tuple[list[Factor], list[Factor]]:
-        """Return the equalities of walls that stay, and those of copies; the others are across passes."""
+        """Return the equalities of walls that stay, and new ones of copies; those between two passes are left out."""
         kept, copied = [], []
         for factor in factors:
             first, second = factor.first, factor.second
@@ -171,13 +172,13 @@ def _observers(mapper: Mapper, kind: FactorKind) -> Seen:
     return {landmark: frozenset(seen) for landmark, seen in result.items()}
 
 
-def _seen_again(seen: frozenset[int], one: Pass, travelled: NDArray[np.float64]) -> frozenset[int]:
-    """Return the keyframes of a pass among some that observe a landmark, which observe it again; see `Pass.gap`."""
+def _seen_again(seen: frozenset[int], new_pass: Pass, travelled: NDArray[np.float64]) -> frozenset[int]:
+    """Return those of the keyframes that observe a landmark that are of a pass and observe it again; see `Pass.gap`."""
     keyframes = np.sort(list(seen))
-    if keyframes[0] >= one.keyframes.start:
+    if keyframes[0] >= new_pass.keyframes.start:
         return frozenset()
-    again = np.concatenate([[False], np.cumsum(np.diff(travelled[keyframes]) >= one.gap) > 0])
-    return frozenset(keyframes[again].tolist()) & frozenset(one.keyframes)
+    again = np.concatenate([[False], np.cumsum(np.diff(travelled[keyframes]) >= new_pass.gap) > 0])
+    return frozenset(keyframes[again].tolist()) & frozenset(new_pass.keyframes)
 
 
 def _copies(seen: Seen, again: Seen, first: int) -> list[LandmarkCopy]:

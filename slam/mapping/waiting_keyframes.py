@@ -73,17 +73,16 @@ class WaitingKeyframes:
         return bool(travelled[-1] - travelled[solved] >= SOLVE_DISTANCE or turned >= SOLVE_TURN)
 
     def read_back(self, mapper: Mapper) -> list[Floats]:
-        """Read back the keyframes, with which the graph was solved, and the landmarks around them; none wait then.
+        """Read back the keyframes, after the graph was solved with them, and the landmarks around; none wait then.
 
         Returns the points of each of these keyframes.
         """
         waiting, self._keyframes = self._keyframes, []
         last, first = mapper.keyframe_count - 1, mapper.keyframe_count - len(waiting)
         mapper.replace_last_poses(mapper.graph.keyframe_poses_of(range(first, last + 1)))
-        everything = any(k % FULL_READ_BACK_INTERVAL == 0 for k in range(first, last + 1))
-        mapper.read_back(
-            None if everything else LOCAL_MAP_MARGIN + max(keyframe.segments.reach() for keyframe in waiting)
-        )
+        reach = LOCAL_MAP_MARGIN + max(keyframe.segments.reach() for keyframe in waiting)
+        reads_all = any(k % FULL_READ_BACK_INTERVAL == 0 for k in range(first, last + 1))
+        mapper.read_back(None if reads_all else reach)
         independent = read_back_covariances(
             mapper.landmarks, mapper.graph, last, [keyframe.landmark_ids for keyframe in waiting]
         )
