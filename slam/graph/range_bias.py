@@ -46,7 +46,10 @@ class RangeBias:
     response: Mapping[int, Floats] = field(default_factory=dict)
 
     def covariance(self, keys: Sequence[int]) -> Floats:
-        """Return the part of the joint covariance (m, m) of variables that the uncertainty of the bias causes."""
+        """Return the part of the joint covariance (m, m) of variables that the uncertainty of the bias causes.
+
+        If the bias has not been estimated, it is a zero (1, 1), which can be added to any other part.
+        """
         if not self.response:
             return np.zeros((1, 1))
         parts = [self.response.get(key, np.zeros(2 if gtsam.Symbol(key).chr() == CORNER else 3)) for key in keys]
@@ -58,18 +61,15 @@ class RangeBias:
 CORNER = gtsam.Symbol(C(0)).chr()
 
 
-def estimate_range_bias(
-    graph: ArrayGraph, values: Floats, start: RangeBias, prior_sigma: float = PRIOR_SIGMA
-) -> RangeBias | None:
+def estimate_range_bias(graph: ArrayGraph, values: Floats, start: RangeBias) -> RangeBias | None:
     """Return the estimate of the range bias, given the graph and its solution `values` (n, 3) with `start`.
 
-    `prior_sigma` (metres) is the standard deviation of the bias before the drive. Returns None if no factor depends on
-    the bias, or if the linearised graph cannot be solved.
+    Returns None if no factor depends on the bias, or if the linearised graph cannot be solved.
     """
     if not graph.depends_on_bias:
         return None
     step = FIRST_STEP if np.isnan(start.sigma) else BIAS_STEP
-    bias, sigma, response = start.metres, prior_sigma, np.zeros_like(values)
+    bias, sigma, response = start.metres, PRIOR_SIGMA, np.zeros_like(values)
     for _ in range(MAX_PARABOLAS):
         try:
             here = graph.step(values, bias)
@@ -79,8 +79,8 @@ def estimate_range_bias(
         low, middle, high = (
             graph.cost(graph.retract(values, here + change * response), bias + change) for change in (-step, 0.0, step)
         )
-        curvature = max((low - 2.0 * middle + high) / step**2, 0.0) + 2.0 / prior_sigma**2
-        change = -((high - low) / (2.0 * step) + 2.0 * bias / prior_sigma**2) / curvature
+        curvature = max((low - 2.0 * middle + high) / step**2, 0.0) + 2.0 / PRIOR_SIGMA**2
+        change = -((high - low) / (2.0 * step) + 2.0 * bias / PRIOR_SIGMA**2) / curvature
         sigma = float(np.sqrt(2.0 / curvature))
         bias, values = bias + change, graph.retract(values, here + change * response)
         if step == BIAS_STEP and abs(change) < CONVERGED_SHARE * sigma:

@@ -31,7 +31,7 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from .criteria import MIN_INDEPENDENT, MIN_KNOWN, SUPPORT_RATIO, admits_closure, differ, fits, is_determined
+from .criteria import MIN_INDEPENDENT, MIN_KNOWN, admits_closure, differ, fits, is_determined
 from .decision import LoopDecision, LoopMatch
 from .judgement import Judgement
 from .look import Look, Submaps
@@ -314,7 +314,7 @@ class LoopAgreement:
                 continue
             decision, equal = judgement.decision(hypothesis)
             was_retracted = self._is_excluded(look, hypothesis.motion)
-            hypothesis.rejection = rejected(decision, 1.0 / SUPPORT_RATIO, equal, was_retracted)
+            hypothesis.rejection = rejected(decision, equal, was_retracted)
 
     def _accepted(self, look: Look) -> LoopDecision | None:
         """Return a closure that looks agree on, if any. Looks that contradict the estimate put its errors in doubt."""

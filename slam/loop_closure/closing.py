@@ -33,7 +33,8 @@ COINCIDENCE_HEADING = np.radians(6.0)
 # Metres of driving without an observation after which a wall is seen again, not still.
 # Origin: definition, two submaps: the recent one and that of an old place do not overlap.
 REVISIT_GAP = 2.0 * SUBMAP_LENGTH
-# Matches of submaps in which one point is used. Origin: definition.
+# Number of submap matches that have a point in common, as looks follow each other at a part of a submap: their errors
+# are not independent, so the covariance of each is multiplied by it. Origin: definition.
 POINT_SHARING = SUBMAP_LENGTH / SEARCH_INTERVAL
 
 

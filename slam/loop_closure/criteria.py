@@ -24,8 +24,8 @@ MAX_MATCH_SIGMA = 0.17
 MAX_CLOSED_DISTANCE = 7.81
 # Looks that must support a hypothesis. Origin: definition, one proposes it, and another one tests it.
 MIN_SUPPORT = 2
-# Looks of which two have no point in common: so many must support a hypothesis that leads to another place, or
-# contradict the estimate before it is in doubt. Origin: definition.
+# Looks that must support a hypothesis that leads to another place, or contradict the estimate before it is in doubt.
+# Origin: definition, so many that the first and the last one have no point in common.
 MIN_INDEPENDENT = 4
 # Standard deviations of the position over which the looks that support a hypothesis must extend. Origin: chosen, 99.7 %
 # of a normal distribution.

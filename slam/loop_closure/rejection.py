@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from .criteria import SUPPORT_RATIO
 from .decision import Check, LoopDecision
 from .loop_status import LoopStatus
 
@@ -23,14 +24,13 @@ SENTENCES = {
 SHARES = ("contradicted", "rival")
 
 
-def rejected(decision: LoopDecision, largest_rival: float, equal: int, was_retracted: bool) -> LoopDecision:
+def rejected(decision: LoopDecision, equal: int, was_retracted: bool) -> LoopDecision:
     """Return a decision as rejected, with the failed checks in words, the worst first.
 
-    largest_rival  gate of the looks that support a rival, as a share
     equal          number of rivals over which the hypothesis does not prevail; one of them may be the estimate
     was_retracted  true if a closure by the same motion was retracted
     """
-    checks = list(decision.checks)
+    checks, largest_rival = list(decision.checks), 1.0 / SUPPORT_RATIO
     if equal and decision.runner_up > largest_rival:
         checks.append(Check("rival", decision.runner_up, largest_rival, at_least=False))
     elif equal:

@@ -52,6 +52,9 @@ DISTINCT_SHIFT = 0.5
 DISTINCT_TURN = math.radians(10.0)
 # Information of a prediction that says nothing. Origin: definition.
 NO_PRIOR = 1e-6 * np.eye(3)
+# Information that is added to that of a match, so that it has an inverse in directions that no point determines.
+# Origin: numerical, standard deviations of 10 m and 10 radians.
+MIN_INFORMATION = 1e-2 * np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,9 +176,8 @@ def _judge(submap: Submap, old: Submap, pose: se2.Pose, information: Floats) -> 
     """Compare a submap and an old one in both directions at a pose."""
     _, fit, known = point_cost(old.field, submap.points, pose)
     _, reverse, _ = point_cost(submap.field, old.points, se2.inverse(pose))
-    covariance: Floats = np.asarray(np.linalg.inv(information + 1e-2 * np.eye(3)), dtype=np.float64) + np.diag(
-        DISTORTION_SIGMAS**2
-    )
+    of_points = np.asarray(np.linalg.inv(information + MIN_INFORMATION), dtype=np.float64)
+    covariance = of_points + np.diag(DISTORTION_SIGMAS**2)
     return SubmapMatch(pose, covariance, min(fit, reverse), known / max(1, len(submap.points)))
 
 
