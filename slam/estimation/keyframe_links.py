@@ -30,9 +30,10 @@ LINK_SIGMAS = np.array([MAX_LINK_SIGMA, MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA])  #
 def link_revisited(state: SlamState, scan: ProcessedScan) -> bool:
     """Link the last keyframe, made of a scan, with the nearest one that the distance field lacks, if both fit together.
 
-    That is, if Gauss-Newton would find the pose of the new scan among the points of the old one, and does not find
-    another one there. Else the next scans would be pulled from the path to the old points, and odometry would seem to
-    have failed, while it is a loop that has to be closed. Returns True if they were linked: the map may have moved.
+    They do if their relative pose is known so well that Gauss-Newton would correct its error, and if the new scan does
+    not fit the old points at another pose. Else the next scans would be pulled from the path to the old points, and
+    odometry would seem to have failed, while it is a loop that has to be closed. Returns True if they were linked: the
+    map may have moved.
     """
     mapper, last = state.mapper, state.mapper.keyframe_count - 1
     connected = mapper.landmarks.parts.connected(np.arange(last + 1))
@@ -84,9 +85,10 @@ def _is_well_known(covariance: Floats) -> bool:
 
 
 def undetermined_share(tracking: TrackingResult) -> float:
-    """Return what a scan and odometry leave unknown of the motion since the last keyframe, 1 for what a link may not.
+    """Return how uncertain scan and odometry leave the motion since the last keyframe.
 
-    Zero if the scan determines heading and position; the position along a corridor does not count, as the surfaces
+    It is a ratio of variances: 1 for the largest uncertainty with which keyframes are linked, more beyond it. It is
+    zero if the scan alone determines heading and position. The position along a corridor does not count: the surfaces
     there say nothing about it in later scans either.
     """
     unknown = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)

@@ -70,7 +70,11 @@ class _RecentField:
 
 
 class LocalField:
-    """Distance field that grows with the keyframes. Keyframes are numbered from 0."""
+    """Distance field that grows with the keyframes, which are numbered from 0.
+
+    A keyframe is near if it is within MAX_PATH of the robot along the drive and the links. The field has the points of
+    the near keyframes.
+    """
 
     def __init__(self) -> None:
         self.field = DistanceField.empty(np.zeros(2))
@@ -80,17 +84,17 @@ class LocalField:
         self._inserted: Integers = np.zeros(0, dtype=np.int64)  # keyframes whose points are in the field
         self._inserted_poses: Floats = np.zeros((0, 3))  # at which they were inserted
         self._successor: FieldSuccessor | None = None  # takes the place of the field once it is complete
-        self._linked = True  # True if other keyframes may have become near
-        self._outdated = False  # True if some of the keyframes in the field may be near no longer
+        self._may_lack_near = True  # True if the field may lack other keyframes than new ones that are near
+        self._may_have_far = False  # True if the field may have keyframes that are near no longer
         self._recent: _RecentField | None = None  # last result of `recent`; scans in a row often need the same
 
     def __deepcopy__(self, memo: dict[int, object]) -> LocalField:
         """Return an independent copy; the points of keyframes are never changed and are shared."""
         other = LocalField()
         other.field = copy.deepcopy(self.field)
-        other._points, other._links, other._linked = list(self._points), list(self._links), self._linked
+        other._points, other._links, other._may_lack_near = list(self._points), list(self._links), self._may_lack_near
         other._gaps = dict(self._gaps)
-        other._outdated = self._outdated
+        other._may_have_far = self._may_have_far
         other._inserted, other._inserted_poses = self._inserted, self._inserted_poses  # replaced, never changed
         other._successor = copy.deepcopy(self._successor)
         return other
@@ -107,7 +111,7 @@ class LocalField:
 
         If no keyframe was inserted, those around the robot are inserted by the next update.
         """
-        self.field, self._linked = DistanceField.empty(state.centre), not state.inserted
+        self.field, self._may_lack_near = DistanceField.empty(state.centre), not state.inserted
         self._links, self._gaps = list(state.links), dict(state.gaps)
         self._inserted, self._inserted_poses = np.array(state.inserted, dtype=np.int64), state.inserted_poses
         self.field.insert_scans(self._inserted_poses, self.points_of(self._inserted))
@@ -137,7 +141,7 @@ class LocalField:
         """
         if undetermined > 0.0:
             self._gaps[len(self._points)] = MAX_PATH * min(1.0, undetermined)
-            self._outdated = True
+            self._may_have_far = True
         self._points.append(scan.surface_points().astype(np.float32))
 
     def ways(self, travelled: Sequence[float]) -> Floats:
@@ -178,20 +182,20 @@ class LocalField:
 
     def clear(self) -> None:
         """Empty the field, as where a new part of the map begins: the next keyframe may be anywhere."""
-        self.field, self._linked = DistanceField.empty(self.field.centre), True
+        self.field, self._may_lack_near = DistanceField.empty(self.field.centre), True
         self._inserted, self._inserted_poses = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         self._successor = self._recent = None
 
     def link(self, keyframe: int, other: int) -> None:
         """State that two keyframes saw the same place, so that their relative pose is well known."""
         self._links.append((keyframe, other))
-        self._linked = True
+        self._may_lack_near = True
 
     def unlink(self, keyframes: range) -> None:
         """Remove the links of consecutive keyframes with earlier ones. Takes effect when the field is built anew."""
         first = keyframes.start
         self._links = [(a, b) for a, b in self._links if min(a, b) >= first or max(a, b) not in keyframes]
-        self._outdated = True
+        self._may_have_far = True
 
     def references(self, pose: se2.Pose) -> list[tuple[int, se2.Pose]]:
         """Return some keyframes near a pose whose points are in the field, the oldest one first, and their poses in it.
@@ -233,9 +237,9 @@ class LocalField:
         """
         from_centre = self.field.centre_distance(poses[keyframe])
         moved = _largest_shift(poses, self._inserted, self._inserted_poses) > MAX_DISPLACEMENT
-        if moved or self._outdated or from_centre > FAR_FROM_CENTRE:
-            self.field, self._inserted, self._linked = self.field.cleared(poses[keyframe]), self._inserted[:0], True
-            self._outdated, self._successor = False, None
+        if moved or self._may_have_far or from_centre > FAR_FROM_CENTRE:
+            self.field, self._inserted = self.field.cleared(poses[keyframe]), self._inserted[:0]
+            self._may_lack_near, self._may_have_far, self._successor = True, False, None
         elif from_centre > MAX_CENTRE_DISTANCE and self._successor is None:
             self._successor = FieldSuccessor.around(poses[keyframe], self._near(keyframe, travelled))
         new = self._new_keyframes(keyframe, travelled)
@@ -249,9 +253,9 @@ class LocalField:
 
     def _new_keyframes(self, keyframe: int, travelled: Sequence[float]) -> Integers:
         """Return the keyframes to be inserted: those added since the last update, and those near by new links."""
-        if not self._linked:
+        if not self._may_lack_near:
             return np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
-        near, self._linked = self._near(keyframe, travelled), False
+        near, self._may_lack_near = self._near(keyframe, travelled), False
         return near[~is_among(near, self._inserted)]
 
     def _build_successor(self, successor: FieldSuccessor, poses: Floats) -> None:

@@ -65,10 +65,10 @@ class PosePredictor:
         self._tentative = self._alternative = self._before_slip = self._odometry_after_gap = None
 
     def is_after_gap(self, taken: int, missing: int) -> bool:
-        """Return True if the robot may have left the poses that are searched while no scan was taken.
+        """Return True if scans are missing since the last fix, and the robot may have moved beyond the searched poses.
 
         taken    scans since the last fix
-        missing  least number of scans that would have been taken in the gap
+        missing  number of scans from which on the gap counts
         """
         if not self._since_fix:
             return False
@@ -77,7 +77,7 @@ class PosePredictor:
         return reach > MAX_SEARCH_SHIFT and periods >= taken + missing
 
     def stood_in_gap(self, taken: int, missing: int) -> bool:
-        """Return True if the wheels hardly moved in such a gap, see `is_after_gap`: the robot stood, or was carried."""
+        """Return True if the wheels hardly moved in a gap, see `is_after_gap`: the robot stood, or was carried."""
         after = self._last_odometry if self._odometry_after_gap is None else self._odometry_after_gap
         if self._fix is None or after is None or not self.model.measured or not self.is_after_gap(taken, missing):
             return False
