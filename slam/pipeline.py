@@ -327,9 +327,10 @@ class Slam:
 
     @property
     def _results_after(self) -> float:
-        """Stamp (seconds) after which poses are results: that of the end of an earlier session that is not extended.
+        """Stamp (seconds) after which poses belong to the results.
 
-        Views of a plan are none: nothing was driven there.
+        If the run only localises, these are its own poses; else all poses but the views of a plan, where nothing was
+        driven.
         """
         return VIEWS_END if self._extends_map else self._journal.resumed_at
 

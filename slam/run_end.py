@@ -73,7 +73,7 @@ def settle_trajectory(state: SlamState, journal: Journal, publisher: Publisher, 
     history = journal.history(state)
     summary = _refine_or_match(state, journal, history, publisher, refined=refined)
     return_freed_memory()  # of the matches, else what is written would add to it
-    bends, delay = settle_wall_bends(state.mapper, history), find_scan_delay(state, journal)
+    bends, delay = settle_wall_bends(state.mapper, history), _find_scan_delay(state, journal)
     return summary | {"wall_bends": bends, "scan_delay": None if delay is None else delay.row()}
 
 
@@ -107,7 +107,7 @@ def _refine_or_match(
     return {"refinement": result.summary}
 
 
-def find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:
+def _find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:
     """Return the delay of the scans' stamps that is left, in the longest stretch of continuous odometry.
 
     None without odometry or keyframes.

@@ -16,9 +16,10 @@ MIN_INFORMATION = 1e-6
 # Damping of the first step, per square metre and square radian; it is divided by DAMPING_FACTOR after a step that
 # lowers the cost, and multiplied otherwise, up to MAX_DAMPING. Origin: numerical, the defaults of GTSAM.
 FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPING = 1e-5, 10.0, 1e5
-# Decrease of the cost, also relative to the cost, below which a step is the last one. Origin: numerical, as before.
+# Decrease of the cost, also relative to the cost, below which a step is the last one. Origin: numerical, the default of
+# GTSAM.
 LAST_DECREASE = 1e-5
-# Steps at most. Origin: numerical, as before.
+# Steps at most. Origin: numerical, the default of GTSAM.
 MAX_STEPS = 100
 
 

@@ -29,7 +29,11 @@ if TYPE_CHECKING:
 
 
 class PartGauge:
-    """What holds the group of the last part: `motion` is kept aside; None if the group is connected by its factors."""
+    """Gauge of the group of the last part of the map.
+
+    motion  odometry's motion to the first keyframe of the group, kept aside while a prior holds this keyframe; None if
+            the graph contains the motion, or if the group is that of the first keyframe of all
+    """
 
     def __init__(self, motion: Factor | None = None) -> None:
         self.motion = motion
@@ -49,7 +53,7 @@ class PartGauge:
         return cls(Factor(FactorKind.ODOMETRY, motion.start, keyframe, motion.motion, covariance))
 
     def separates(self, mapper: Mapper, old: int, keyframe: int) -> bool:
-        """Return True if the motion kept aside is on the way from one keyframe to another one in the last part."""
+        """Return True if only the motion kept aside connects a keyframe of the last part with an old one."""
         if self.motion is None:
             return False
         of_old, of_keyframe = mapper.landmarks.parts.connected(np.array([old, keyframe]))

@@ -1,8 +1,8 @@
 """Distance field: the vector from the nearest scan point to each cell of a grid, and which cells were seen.
 
 A scan is matched to it with all its points, whatever they belong to. Points are inserted one scan at a time, so the
-field grows with the drive; it is rebuilt when the robot leaves its middle or when the map is corrected. Points that
-appear in free space enter it when a second scan has seen them.
+field grows with the drive; `LocalField` replaces it when the robot leaves its middle, or when the map is corrected.
+Points that appear in free space enter it when a second scan has seen them.
 
 A wall has two faces some centimetres apart, and a robot that drives past it sees first one and then the other. To match
 one with the other would shift the pose by the wall's thickness. So there is one grid for each direction that a surface
@@ -51,10 +51,14 @@ Arrays = tuple[Floats, NDArray[np.int32], NDArray[np.int32], NDArray[np.uint8]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DistanceField:
-    """Square grids; row and column of a point are floor((xy - origin) / FIELD_CELL), or SEEN_CELL.
+    """Square grids around a place of the map.
+
+    A point xy is in the row and the column floor((xy - origin) / side), with the side of a cell: FIELD_CELL of the
+    offsets, and SEEN_CELL of `seen`.
 
     origin   (2,) corner of the grids in the map, metres
-    offsets  from the nearest point to the cell's centre: of surfaces that face along x, y, -x, -y, and of all points
+    offsets  five grids of vectors from the nearest point to the cell's centre: one for the surfaces that face along
+             each of x, y, -x, -y, and one for all points
     seen     (s, s) 1 if a beam crossed the cell or ended in it
     waiting  points in free space that one scan has seen; see `free_space`
     """

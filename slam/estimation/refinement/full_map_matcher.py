@@ -92,8 +92,8 @@ class FullMapMatcher:
             *self.motions.known(odometry_wrong), self.motions.unmeasured
         )
         self._slip_cost = SlipStatistics(len(history), int(odometry_wrong.sum())).cost
-        self._unmatched = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
-        self._informations = history.informations + self._unmatched
+        self._weak_information = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
+        self._informations = history.informations + self._weak_information
         self._range_bias = range_bias
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._tiles = self._tiles_of(history.anchors)
@@ -124,7 +124,7 @@ class FullMapMatcher:
         target = MatchTarget(local_map, self._field(row), self._roughness)
         present = Prediction(poses[row], self._prior(row, poses))
         cost = 0.0 if self._odometry_wrong[row] else self._slip_cost
-        even = Prediction(self._interpolate(row, poses), self._unmatched, cost)
+        even = Prediction(self._interpolate(row, poses), self._weak_information, cost)
         predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
         match = target.match(scan, predictions, exhaustive=True)
         if not self._odometry_wrong[row]:

@@ -51,13 +51,12 @@ def refine(mapper: Mapper, history: ScanHistory, model: OdometryModel) -> Refine
     matches = mapper.graph.matches()
     poses, odometry_wrong = initial, np.zeros(len(history), dtype=bool)
     iterations = changed = merged = 0
-    remaining, shift = MAX_ITERATIONS, np.inf
-    while remaining and shift > CONVERGED_SHIFT:
+    shift = np.inf
+    while iterations < MAX_ITERATIONS and shift > CONVERGED_SHIFT:
         result = refine_once(mapper, history, model, matches, poses, odometry_wrong)
         shift = float(np.max(np.hypot(*(result.poses - poses)[:, :2].T)))
         mapper, poses, odometry_wrong = result.mapper, result.poses, result.odometry_wrong
         iterations, changed, merged = iterations + 1, changed + result.changed, merged + result.merged
-        remaining -= 1
     settle_range_bias(mapper, correlate=True)
     poses = mapper.keyframe_poses
     scan_poses, overlap_ratio = smooth_trajectory(mapper, history, model, poses, odometry_wrong)
