@@ -1,6 +1,6 @@
 """2-D pose graphs, with or without landmarks: read, optimise, write. Independent of the rest of the package."""
 
-from .files import G2O_EDGES, PoseGraphFile, read_pose_graph, write_g2o, write_toro
+from .files import G2O_EDGES, PoseGraphFile, read_pose_graph, write_g2o
 from .model import Edges, PoseGraph
 from .optimise import OptimisedGraph, optimise
 from .pairwise_consistency import odometry_edges
@@ -15,5 +15,4 @@ __all__ = [
     "optimise",
     "read_pose_graph",
     "write_g2o",
-    "write_toro",
 ]

@@ -1,4 +1,4 @@
-"""Read and write pose graphs in the formats of g2o and TORO.
+"""Read pose graphs in the formats of g2o and TORO, and write them in that of g2o.
 
 g2o                                             information matrix, row by row of its upper triangle
     VERTEX_SE2 id x y heading
@@ -235,20 +235,6 @@ def write_g2o(path: Path, graph: PoseGraph) -> None:
         targets = graph.pose_ids if size == 3 else graph.landmark_ids
         rows, columns = np.triu_indices(size)
         lines += _edge_lines(tag, edges, graph.pose_ids, targets, edges.information[:, rows, columns])
-    path.write_text("".join(lines), encoding="utf-8", newline="\n")
-
-
-def write_toro(path: Path, graph: PoseGraph) -> None:
-    """Write a graph of poses in TORO's format, which has neither landmarks nor fixed vertices.
-
-    Raises PoseGraphError if the graph has some, OSError.
-    """
-    if len(graph.landmarks) or graph.fixed_poses.any():
-        raise PoseGraphError(path, None, "TORO's format has neither landmarks nor fixed vertices")
-    rows, columns = np.triu_indices(3)
-    triangle = graph.motions.information[:, rows, columns][:, TORO_ORDER]
-    lines = _vertex_lines("VERTEX2", graph.pose_ids, graph.poses)
-    lines += _edge_lines("EDGE2", graph.motions, graph.pose_ids, graph.pose_ids, triangle)
     path.write_text("".join(lines), encoding="utf-8", newline="\n")
 
 

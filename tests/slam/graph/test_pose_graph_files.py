@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from slam.errors import PoseGraphError
-from slam.graph.pose_graph import Edges, PoseGraph, read_pose_graph, write_g2o, write_toro
+from slam.graph.pose_graph import Edges, PoseGraph, read_pose_graph, write_g2o
 
 finite = st.floats(-1e6, 1e6)
 
@@ -24,9 +24,9 @@ def random_matrices(generator: np.random.Generator, count: int, size: int) -> np
 
 
 @st.composite
-def graphs(draw: st.DrawFn, landmarks: bool = True) -> PoseGraph:
+def graphs(draw: st.DrawFn) -> PoseGraph:
     generator = np.random.default_rng(draw(st.integers(0, 2**32)))
-    n, m = draw(st.integers(2, 6)), draw(st.integers(0, 4)) if landmarks else 0
+    n, m = draw(st.integers(2, 6)), draw(st.integers(0, 4))
     ids = np.array(draw(st.lists(st.integers(-(2**40), 2**40), min_size=n + m, max_size=n + m, unique=True)), np.int64)
     x = draw(finite)
 
@@ -46,7 +46,7 @@ def graphs(draw: st.DrawFn, landmarks: bool = True) -> PoseGraph:
         motions=edges(3, n),
         positions=edges(2, m),
         bearings=edges(1, m),
-        fixed_poses=generator.random(n) < 0.3 if landmarks else np.zeros(n, bool),
+        fixed_poses=generator.random(n) < 0.3,
         fixed_landmarks=generator.random(m) < 0.3,
     )
 
@@ -67,14 +67,6 @@ def test_g2o_round_trip(graph: PoseGraph) -> None:
         assert_same(read_pose_graph(Path(folder) / "a.g2o").graph, graph)
 
 
-@settings(max_examples=40, deadline=None)
-@given(graphs(landmarks=False))
-def test_toro_round_trip(graph: PoseGraph) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        write_toro(Path(folder) / "a.graph", graph)
-        assert_same(read_pose_graph(Path(folder) / "a.graph").graph, graph)
-
-
 VERTICES = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_XY 2 1 1\n"
 EDGE = "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
 
@@ -87,12 +79,6 @@ def read(tmp_path: Path, text: str | bytes) -> PoseGraph:
 def test_toro_order_of_the_information_matrix(tmp_path: Path) -> None:
     graph = read(tmp_path, "EDGE2 0 1 1 0 0 10 1 20 30 2 3\n")
     assert graph.motions.information[0].tolist() == [[10, 1, 2], [1, 20, 3], [2, 3, 30]]
-
-
-def test_toro_refuses_landmarks(tmp_path: Path) -> None:
-    graph = read(tmp_path, VERTICES + EDGE)
-    with pytest.raises(PoseGraphError, match="has neither landmarks"):
-        write_toro(tmp_path / "a.graph", graph)
 
 
 @pytest.mark.parametrize(
