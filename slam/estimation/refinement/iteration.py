@@ -29,7 +29,6 @@ class IterationResult:
     """Result of one iteration.
 
     mapper          the solved map
-    motions         k motions to each keyframe from an earlier one; None for the first
     poses           (k, 3) of the keyframes
     odometry_wrong  (n,) true for scans at which odometry was found to be wrong
     merged          number of walls merged into others
@@ -37,7 +36,6 @@ class IterationResult:
     """
 
     mapper: Mapper
-    motions: list[KeyframeMotion | None]
     poses: Floats
     odometry_wrong: NDArray[np.bool_]
     merged: int
@@ -64,17 +62,16 @@ def refine_once(
     odometry_wrong = odometry_wrong | newly_wrong
     matched[0] = poses[0]  # defines the map's frame
     recount_observations(new.landmarks, history, landmark_ids, matched)
-    motions: list[KeyframeMotion | None] = [None]
-    motions += [motion_to_keyframe(k, history, model, odometry_wrong) for k in range(1, len(history.keyframes))]
     for k, row in enumerate(history.keyframes):
+        motion = motion_to_keyframe(k, history, model, odometry_wrong) if k else None
         features = history.scans[row].features
-        new.add_keyframe_with_ids(matched[k], motions[k], features.segments, features.corners, landmark_ids[k])
+        new.add_keyframe_with_ids(matched[k], motion, features.segments, features.corners, landmark_ids[k])
     new.graph.add_matches(matches)
     new.solve()
     split_walls(new)
     solved = new.graph.keyframe_poses(len(history.keyframes))
     recompute_covariances(new.landmarks, history, new.landmark_ids, solved, new.roughness.variance)
-    return IterationResult(new, motions, solved, odometry_wrong, merged, _count_changes(old, new))
+    return IterationResult(new, solved, odometry_wrong, merged, _count_changes(old, new))
 
 
 def _associate(
