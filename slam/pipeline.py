@@ -298,17 +298,8 @@ class Slam:
         self._leave_out_unknown_session()
         self._journal.mark_rest_dispensable(self.slam_state.keyframe_stamps)
         self._session = session or self._stored.at_end(self.slam_state.copy())
-        self.slam_state.local_field.clear()  # frees some megabytes: no scan is matched with it any more
-        self.slam_state.loops.free_submaps()
-        if self._extends_map:
-            self._statistics.merged_walls += converge(self.slam_state.mapper)
-            settle_plan(self.slam_state, self._journal, self._publisher)
-        end = self._journal.scans[-1].stamp
         state, journal = self.slam_state, self._journal
-        self._report.end(state, end)
-        self._stored.add_last_decisions(self._session, state.loops)
-        summary = self._summary(end)
-        summary |= settle_trajectory(state, journal, self._publisher, refined=self._refine and self._extends_map)
+        summary = self._settle(self._session)
         if self._refine:
             self._session = self._stored.at_end(state)
         stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
@@ -324,6 +315,20 @@ class Slam:
         result = final_result(state, (stamps, poses), sweep_covariances, summary | {"suspects": suspects})
         self._publisher.publish(result)
         return result
+
+    def _settle(self, session: StoredSession) -> dict[str, object]:
+        """Settle the map and the trajectory; return the summary. `session` gets the decisions that this leads to."""
+        state, journal = self.slam_state, self._journal
+        state.local_field.clear()  # frees some megabytes: no scan is matched with it any more
+        state.loops.free_submaps()
+        if self._extends_map:
+            self._statistics.merged_walls += converge(state.mapper)
+            settle_plan(state, journal, self._publisher)
+        end = journal.scans[-1].stamp
+        self._report.end(state, end)
+        self._stored.add_last_decisions(session, state.loops)
+        refined = self._refine and self._extends_map
+        return self._summary(end) | settle_trajectory(state, journal, self._publisher, refined=refined)
 
     @property
     def _results_after(self) -> float:
