@@ -164,7 +164,7 @@ class SlamState:
     def in_familiar_place(self) -> bool:
         """True while the robot passes a familiar place, where no keyframes are added.
 
-        The anchor is then a pose near a keyframe, possibly the last one, and not a keyframe itself, which is certain.
+        The anchor is then a pose near a keyframe, with a covariance; an anchor that is a keyframe itself has none.
         """
         return self.anchor is not None and bool(np.count_nonzero(self.anchor.covariance))
 

@@ -114,7 +114,7 @@ class Landmarks:
         low, high = along - half_length, along + half_length
         row["low"], row["high"] = min(row["low"], low), max(row["high"], high)
         cells = _covered_by(frame, half_length, along, points)
-        if wall in self.opened:  # refinement observes old keyframes again: from before the opening, they do not undo it
+        if wall in self.opened:  # refinement observes keyframes again: those from before an opening do not close it
             cells = still_covered(cells, self.opened[wall], keyframe)
             cells = self._without_openings(wall, cells, points)
         self.covered[wall] |= cells

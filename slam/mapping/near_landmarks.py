@@ -18,7 +18,7 @@ from .landmark_table import NEVER_REMOVED
 BEHIND_MARGIN = 0.5
 # Metres by which rounding may change a distance. Origin: numerical.
 ROUNDING = 1e-6
-# In place of a keyframe if walls count as removed at whichever keyframe they were. Origin: definition.
+# In place of a keyframe, after all others: walls count as removed whenever they were removed. Origin: definition.
 NO_KEYFRAME = np.iinfo(np.int64).max
 
 
