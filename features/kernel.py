@@ -79,6 +79,31 @@ def select_inliers(part: RaySlice, u: float, v: float, settings: Settings, buffe
 
 
 @inlined
+def trim_ends(rays: Rays, count: int, begin: int, end: int, u: float, v: float, settings: Settings) -> tuple[int, int]:
+    """Return the rays begin..end-1 without those at both ends that do not lie on the line; one is always left."""
+    while begin < end - 1 and not lies_on(rays, wrap_index(begin, count), u, v, settings):
+        begin += 1
+    while begin < end - 1 and not lies_on(rays, wrap_index(end - 1, count), u, v, settings):
+        end -= 1
+    return begin, end
+
+
+@inlined
+def write_ends(rays: Rays, count: int, begin: int, end: int, used: int, output: FeatureBuffers, lines: int) -> None:
+    """Write the ends of the line in row `lines`, which has its (u, v) already, and its span of rays begin..end-1.
+
+    used  number of rays of the fit
+    """
+    row, span = output.lines[lines], output.spans[lines]
+    first, last = wrap_index(begin, count), wrap_index(end - 1, count)
+    for ray, column in ((first, 6), (last, 8)):
+        distance = 1.0 / (row[0] * rays.cos[ray] + row[1] * rays.sin[ray])
+        row[column], row[column + 1] = distance * rays.cos[ray], distance * rays.sin[ray]
+    span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
+    output.curved[lines] = False
+
+
+@inlined
 def fit_segment(
     rays: Rays,
     count: int,
@@ -123,10 +148,7 @@ def fit_segment(
     bearing_spread = bearing_variance(get_column(segments.sums, segment))
     if not (chi2 <= MAX_CHI2 * (used - 2) and bearing_spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
         return False, estimated
-    while begin < end - 1 and not lies_on(rays, wrap_index(begin, count), u, v, settings):
-        begin += 1
-    while begin < end - 1 and not lies_on(rays, wrap_index(end - 1, count), u, v, settings):
-        end -= 1
+    begin, end = trim_ends(rays, count, begin, end, u, v, settings)
     if settings.estimator != MAXIMUM_LIKELIHOOD:
         part = select_inliers(part, u, v, settings, buffer)
         u, v, cuu, cuv, cvv = fit_by_code(
@@ -138,13 +160,7 @@ def fit_segment(
     row = output.lines[lines]
     row[0], row[1], row[2], row[3], row[4], row[5], row[10] = u, v, cuu, cuv, cuv, cvv, chi2
     row[11] = segments.boundary_covariance[3, segment]
-    first, last = wrap_index(begin, count), wrap_index(end - 1, count)
-    for ray, column in ((first, 6), (last, 8)):
-        distance = 1.0 / (u * rays.cos[ray] + v * rays.sin[ray])
-        row[column], row[column + 1] = distance * rays.cos[ray], distance * rays.sin[ray]
-    span = output.spans[lines]
-    span[0], span[1], span[2], span[3], span[4] = rays.beam[first], rays.beam[last], used, begin, end - 1
-    output.curved[lines] = False
+    write_ends(rays, count, begin, end, used, output, lines)
     return math.hypot(row[8] - row[6], row[9] - row[7]) >= settings.minimum_length, estimated
 
 

@@ -81,10 +81,9 @@ def merge_segments(
         before = segment_count
         kept = 0
         for i in range(1, segment_count + 1):
-            ends = (
-                i == segment_count
-            )  # the last segment may continue in the first one, across the start of the revolution
-            j, shift = (0, count) if ends else (i, 0)
+            # after the last segment: it may continue in the first one, across the start of the revolution
+            wraps = i == segment_count
+            j, shift = (0, count) if wraps else (i, 0)
             if kept == j:
                 break
             between = count_rays_between(segments, broken, count, kept, j, shift)
@@ -93,11 +92,11 @@ def merge_segments(
                 same_wall = is_bridgeable(rays, count, step, segments, kept, j, between, settings)
             if same_wall:
                 join_segments(segments, kept, j, between == ADJACENT, shift)
-                if ends:
+                if wraps:
                     for k in range(kept):
                         copy_segment(segments, k + 1, k)
                     kept -= 1
-            elif not ends:
+            elif not wraps:
                 kept += 1
                 copy_segment(segments, i, kept)
         segment_count = min(segment_count, kept + 1)

@@ -72,7 +72,9 @@ class Grid(NamedTuple):
     sin: Floats
 
 
+# Rows of memory: of the grid; range, inverse, cos, sin and bearing; slope; prefix sums. Origin: definition.
 FLOAT_ROWS = 3 + 5 + 1 + 6
+# Beam and broken. Origin: definition.
 INTEGER_ROWS = 2
 
 
