@@ -65,7 +65,7 @@ class Estimator:
         self.state = state
         self._monitor = ClosureMonitor()
         self._frozen_state: SlamState | None = None  # state of a frozen map while the robot is lost in it
-        self._earlier: EarlierPart | None = None  # while it is open if the robot has left it
+        self._earlier: EarlierPart | None = None  # part before the present one, while the robot may be in it
 
     @property
     def result(self) -> SlamState:

@@ -86,7 +86,7 @@ class PlanPrior:
             if found is None or not self._move_to_plan(mapper, found):
                 return False
         graph, refuted = mapper.graph, set[int]()
-        refined = not graph.plan_walls()
+        is_new_graph = not graph.plan_walls()  # of a refined map: it was built without the factors of the plan
         current = set(self._candidates(mapper).tolist())  # without merged walls: those that replace them are tested
         graph.remove_factors([number for wall, (number, _) in graph.plan_walls().items() if wall not in current])
         for _ in range(MAX_ROUNDS):
@@ -109,7 +109,8 @@ class PlanPrior:
             graph.update_until_converged()
             mapper.read_back_all()
         self._supported = set(graph.plan_walls())
-        if refined and len(self._supported) >= MIN_AGREEING_WALLS:  # its first keyframe is still fixed
+        if is_new_graph and len(self._supported) >= MIN_AGREEING_WALLS:
+            # Its first keyframe is still fixed. From now on the walls determine it.
             change_frame(mapper, np.zeros(3), FIRST_POSE_IN_PLAN)
             return self.settle(mapper, local_field)
         return True

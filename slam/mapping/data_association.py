@@ -114,8 +114,9 @@ def _assign_greedily(distance, observations, low, high):  # type: ignore[no-unty
                   observations by the sign of their error, and each share would confirm that they are two
     low, high     (n, m) extent of the feature along the landmark: further features must not overlap with it
 
-    Returns (n,) the columns of the features, of their nearest landmarks, and the distances to these in between; -1 and
-    NaN without one. An unassigned feature with a finite distance is AMBIGUOUS, one without is UNMATCHED.
+    Returns three arrays (n,): the column of the landmark that each feature is assigned to, the distance to the nearest
+    landmark, and the column of that; NaN and -1 without one. A feature that is not assigned is AMBIGUOUS if any of its
+    distances is finite, else UNMATCHED.
     """
     features, landmarks = distance.shape
     columns, nearest = np.full(features, UNMATCHED), np.full(features, -1)

@@ -42,7 +42,14 @@ class LandmarkIds:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeRecords:
-    """Data of k keyframes besides the factor graph, as saved with a session; the attributes are those of `Mapper`."""
+    """Data of k keyframes besides the factor graph, as saved with a session; see the attributes of `MappedKeyframes`.
+
+    keyframe_poses    (k, 3) in the map
+    travelled         metres driven up to each keyframe
+    landmark_ids      of each keyframe
+    covariances       (k, 3, 3) `pose_covariances`, in the map's axes
+    correlated_drift  (k, 2, 2) accumulated up to each keyframe, in the map's axes
+    """
 
     keyframe_poses: Floats
     travelled: Sequence[float]

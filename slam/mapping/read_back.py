@@ -31,8 +31,9 @@ def read_back_covariances(
     """Store the covariances of the landmarks that the last keyframes observed: cheap right after an update.
 
     last      the last of these keyframes, to which the covariances are relative
-    observed  by each of them, k in a row
-    Returns (k, 3, 3) those of the keyframes' poses in the graph.
+    observed  landmark ids of these k keyframes, which follow each other
+
+    Returns the covariances (k, 3, 3) of the keyframes' poses in the graph, along the map's axes.
     """
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
     of_walls, of_corners = observed_landmarks(observed)

@@ -147,7 +147,7 @@ def _register(  # type: ignore[no-untyped-def]
                 total[k, m] = information[k, m] + point_information[k, m] + prior[k, m]
         move_back(pose, solution(total, gradient))
     unbiased = unbiased_information(point_pose, kept, found, FINE_SIGMA, point_information, memory)
-    # From where it is linearised, and without the prior: odometry has a factor of its own in the graph.
+    # The step from where the points were linearised. Without the prior: odometry has a factor of its own in the graph.
     move_back(point_pose, solution(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
     wrap_heading(pose)
     wrap_heading(point_pose)
