@@ -2,14 +2,19 @@
 
 A keyframe adds what its scan sees to the map, and its pose and observations to the graph. Where the map shows all that
 the scans see, this is needed rarely: scans between keyframes are tracked all the same. Where a considerable part of a
-scan is new, the next scans would have too little to be matched with if it were not added. Odometry's errors are learned
-at the smaller one of the two distances everywhere, and walls that are no longer there are noticed at it.
+scan is new, the next scans would have too little to be matched with if it were not added. Where the robot has been
+often enough, no scan becomes a keyframe. Odometry's errors are learned at the smaller one of the two distances
+everywhere, and walls that are no longer there are noticed at it.
 """
 
 from __future__ import annotations
 
+import numpy as np
+
 from drivers import se2
 
+from ..geometry.degeneracy import weakest_direction
+from ..geometry.membership import is_among
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.small_matrices import inverse
 from ..localisation.tracking import CONDITIONING, TrackingResult
@@ -21,21 +26,55 @@ from .tracking_checkpoint import Anchor
 # Origin: measured. In offices 10 to 25 % of the scans show less, in mines, halls and outdoors more than half. With
 # keyframes at twice the distance everywhere, robots get lost there, while offices are mapped equally well.
 MIN_EXPLAINED = 0.9
-# Distance of keyframes there, and of the motions that odometry's errors are learned from, as a share of the configured
-# one. Origin: chosen, so that two scans in a row share most of what they see; not measured.
+# Distance of keyframes where that is so, and of the motions that odometry's errors are learned from, as a share of the
+# configured one. Origin: chosen, so that two scans in a row share most of what they see; not measured.
 CLOSE_SHARE = 0.5
+# A place is familiar after this many visits with keyframes near the robot (metres, radians) if the map explains the
+# scan. Origin: chosen so that the graph does not grow while a robot patrols a known building; not measured, but at
+# twice the distance a recording of an office is torn by 0.25 m.
+FAMILIAR_VISITS = 2
+FAMILIAR_DISTANCE = 0.3  # Origin: as FAMILIAR_VISITS.
+FAMILIAR_TURN = np.radians(10.0)  # Origin: as FAMILIAR_VISITS.
+# Metres: if the features leave the position less certain than this in one direction, as along a corridor, more visits
+# are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
+FAMILIAR_SIGMA = 0.05
+FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
+# Driving elsewhere between two visits, in spacings of keyframes: by default 6.6 m, or 200 degrees of turning. Keyframes
+# cannot be counted instead, as they are closer where much is new. Origin: chosen; not measured.
+VISIT_GAP = 10.0
 
 
 def is_due(state: SlamState, tracking: TrackingResult) -> bool:
     """Return True if a tracked scan should become a keyframe.
 
-    Its predicted pose decides: the scan's own pose would select the scans whose errors lead ahead, and odometry would
-    seem to measure too little.
+    The predicted pose decides. By their own poses, scans whose errors point ahead would be selected, and odometry would
+    seem to measure too short motions.
     """
     if state.anchor is None or state.at_part_begin:
         return True
     share = 1.0 if tracking.explained >= MIN_EXPLAINED else CLOSE_SHARE
     return state.spacings(state.anchor_pose, tracking.predicted.pose) > share
+
+
+def familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None:
+    """Return the nearest keyframe of a familiar place; None if the place is not familiar.
+
+    A place is familiar if it was visited often enough and looks as before. On a frozen map every place is familiar. So
+    the graph grows with the size of the building and not with the time spent in it. Only linked keyframes count: others
+    are near in an estimate that has drifted, and a pose relative to them would close a loop that nothing confirms.
+    """
+    mapper = state.mapper
+    if state.frozen:
+        return int(mapper.keyframes_near(state.pose, np.inf, np.inf)[0])
+    if state.kidnapped or state.at_part_begin or tracking.explained < MIN_EXPLAINED:
+        return None
+    near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
+    near = near[is_among(near, state.local_field.inserted)]
+    driven = np.sort([state.keyframe_driven[k] for k in near])
+    before = driven[driven < state.driven - VISIT_GAP]  # without those of the current visit
+    visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
+    observable = weakest_direction(state.pose, tracking.registration.information, FAMILIAR_SIGMA) is None
+    return int(near[0]) if visits >= (FAMILIAR_VISITS if observable else FAMILIAR_VISITS_IF_DEGENERATE) else None
 
 
 def learn_between_keyframes(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> None:

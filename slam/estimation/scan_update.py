@@ -14,8 +14,6 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.degeneracy import weakest_direction
-from ..geometry.membership import is_among
 from ..geometry.small_matrices import inverse, is_positive_definite
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracking import TrackingResult, TrackingStatus
@@ -30,25 +28,12 @@ from ..odometry.systematic_errors import MIN_MOTION_TRAVEL
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_links import link_revisited, undetermined_share
 from .keyframe_motions import motion_since, relative_scan_matches
-from .keyframe_selection import MIN_EXPLAINED, is_due, learn_between_keyframes
+from .keyframe_selection import familiar_keyframe, is_due, learn_between_keyframes
 from .loop_update import search_loop
 from .slam_state import RELOCALISED_RADIUS, SlamState
 from .stage_timer import StageTimer
 from .tracking_checkpoint import Anchor
 
-# A place is familiar after this many visits with keyframes near the robot (metres, radians) if the map explains the
-# scan. Origin: chosen so that the graph does not grow while a robot patrols a known building; not measured, but at
-# twice the distance a recording of an office is torn by 0.25 m.
-FAMILIAR_VISITS = 2
-FAMILIAR_DISTANCE = 0.3  # Origin: as FAMILIAR_VISITS.
-FAMILIAR_TURN = np.radians(10.0)  # Origin: as FAMILIAR_VISITS.
-# Metres: if the features leave the position less certain than this in one direction, as along a corridor, more visits
-# are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
-FAMILIAR_SIGMA = 0.05
-FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
-# Driving elsewhere between two visits, in spacings of keyframes: by default 6.6 m, or 200 degrees of turning. Keyframes
-# cannot be counted instead, as they are closer where much is new. Origin: chosen; not measured.
-VISIT_GAP = 10.0
 # Seconds between the two looks of a robot that only stands. Origin: chosen, people have moved on meanwhile; not
 # measured.
 SECOND_LOOK_TIME = 2.0
@@ -113,7 +98,7 @@ def update_map(
     if due:
         state.pose = tracking.registration.pose
         state.driven += 0.0 if state.anchor is None else state.spacings(state.anchor_pose, state.pose)
-        familiar = _familiar_keyframe(state, tracking)
+        familiar = familiar_keyframe(state, tracking)
         if familiar is None:
             update = _add_keyframe(state, scan, tracking, timer)
         else:
@@ -174,27 +159,6 @@ def _stands_at_first_keyframe(state: SlamState, stamp: float) -> bool:
     """Return True if the robot has stood for some time where a part of the map begins."""
     is_first = state.mapper.landmarks.parts.firsts[-1] == state.mapper.keyframe_count - 1
     return is_first and not state.frozen and stamp - state.keyframe_stamps[-1] >= SECOND_LOOK_TIME
-
-
-def _familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None:
-    """Return the nearest keyframe of a familiar place; None if the place is not familiar.
-
-    A place is familiar if it was visited often enough and looks as before. On a frozen map every place is familiar. So
-    the graph grows with the size of the building and not with the time spent in it. Only linked keyframes count: others
-    are near in an estimate that has drifted, and a pose relative to them would close a loop that nothing confirms.
-    """
-    mapper = state.mapper
-    if state.frozen:
-        return int(mapper.keyframes_near(state.pose, np.inf, np.inf)[0])
-    if state.kidnapped or state.at_part_begin or tracking.explained < MIN_EXPLAINED:
-        return None
-    near = mapper.keyframes_near(state.pose, FAMILIAR_DISTANCE, FAMILIAR_TURN)
-    near = near[is_among(near, state.local_field.inserted)]
-    driven = np.sort([state.keyframe_driven[k] for k in near])
-    before = driven[driven < state.driven - VISIT_GAP]  # without those of the current visit
-    visits = np.count_nonzero(np.diff(before) > VISIT_GAP) + 1 if len(before) else 0
-    observable = weakest_direction(state.pose, tracking.registration.information, FAMILIAR_SIGMA) is None
-    return int(near[0]) if visits >= (FAMILIAR_VISITS if observable else FAMILIAR_VISITS_IF_DEGENERATE) else None
 
 
 def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, tracking: TrackingResult) -> None:
