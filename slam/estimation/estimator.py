@@ -207,7 +207,10 @@ class Estimator:
 
 
 def _joined_part(update: KeyframeUpdate | None) -> int | None:
-    """Return the first keyframe of what a keyframe joined with the first part of the map; None if it joined nothing."""
+    """Return the first keyframe of the group of parts that the loop closed at a keyframe joined with another one.
+
+    None if it joined nothing, or if that is the group of the first keyframe of the map.
+    """
     decision = None if update is None else update.loop
     if decision is None or not decision.joins or decision.status is not LoopStatus.ACCEPTED:
         return None
