@@ -16,6 +16,8 @@ from typing import Any, Self
 WCLM = [sys.executable, "-W", "error", "-c", "from slam.cli import main; main()"]
 MOUNT = "0.1,0,0"
 """Mount of the emulated lidar: x, y, heading."""
+SLOW_LIDAR = ("--lidar", "rplidar-a1")
+"""Options of an emulated robot that takes half of the processor time, for tests in which its lidar does not matter."""
 COMPILATION_TIMEOUT = 200.0
 """Seconds that the first start after a change may take, with compilation."""
 

@@ -35,11 +35,11 @@ from slam.io.output_dir import PICTURE, RESULTS, REVIEW, SUMMARY, TRAJECTORY
 from slam.io.tum import read_tum
 from slam.visualisation.rerun_log import ViewerServer
 
-from ..robot import LiveRun, Robot, wait_for
+from ..robot import SLOW_LIDAR, LiveRun, Robot, wait_for
 
 pytestmark = pytest.mark.shared_run
 
-DURATION = 9.0
+DURATION = 6.0
 """Duration of the live run, seconds."""
 FIRST_KEYFRAMES = 3
 """Number of keyframes that the first viewer must exceed."""
@@ -219,7 +219,7 @@ def test_each_viewer_server_has_its_own_port() -> None:
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     """Robot of several runs, one after the other."""
-    with Robot(tmp_path_factory.mktemp("robot")) as robot:
+    with Robot(tmp_path_factory.mktemp("robot"), "office", *SLOW_LIDAR) as robot:
         yield robot
 
 
@@ -239,7 +239,7 @@ def test_a_failure_of_the_reader_process_keeps_earlier_measurements(tmp_path: Pa
 
 
 def test_a_full_disk_ends_the_recording_but_not_the_mapping(tmp_path: Path, robot: Robot) -> None:
-    limit = 200_000
+    limit = 100_000
 
     def limit_files() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
@@ -256,7 +256,7 @@ def test_a_full_disk_ends_the_recording_but_not_the_mapping(tmp_path: Path, robo
     assert 0 < len(recorded) < run.summary["scans"] + run.summary["odometry"]
 
 
-def wait_until_recorded(run: LiveRun, path: Path, size: int = 300_000) -> None:
+def wait_until_recorded(run: LiveRun, path: Path, size: int = 150_000) -> None:
     wait_for(lambda: path.exists() and path.stat().st_size > size, run.process)
 
 

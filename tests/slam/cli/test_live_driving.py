@@ -19,7 +19,7 @@ from slam.evaluation.metrics import score_reference
 from slam.io.output_dir import TRAJECTORY
 from slam.io.tum import read_tum
 
-from ..robot import LiveRun, Robot
+from ..robot import SLOW_LIDAR, LiveRun, Robot
 from .test_live_saving import use_as_terminal
 
 UP, LEFT = b"\x1b[A", b"\x1b[D"
@@ -34,7 +34,7 @@ def hold(terminal: int, key: bytes, seconds: float) -> None:
 
 def test_keys_drive_the_robot_and_a_lost_terminal_stops_it(tmp_path: Path) -> None:
     terminal, inner = pty.openpty()
-    with Robot(tmp_path, "room", "--drive", "base") as robot:
+    with Robot(tmp_path, "room", "--drive", "base", *SLOW_LIDAR) as robot:
         options = ("--no-review", "--drive", "--max-speed", "0.3", "--web")
         run = LiveRun(robot, tmp_path / "map", *options, stdin=inner, preexec_fn=use_as_terminal)
         os.close(inner)

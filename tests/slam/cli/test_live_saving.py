@@ -35,7 +35,7 @@ from slam.io.output_dir import (
 )
 from slam.io.sessions import read_session
 
-from ..robot import LiveRun, Robot, wait_for
+from ..robot import SLOW_LIDAR, LiveRun, Robot, wait_for
 
 SAVED = {TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY, SESSION}
 
@@ -54,7 +54,7 @@ def names(folder: Path) -> set[str]:
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Robot]:
     """Robot of several runs, one after the other."""
-    with Robot(tmp_path_factory.mktemp("robot")) as robot:
+    with Robot(tmp_path_factory.mktemp("robot"), "office", *SLOW_LIDAR) as robot:
         yield robot
 
 
