@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from ..slam.robot import Robot
+from ..slam.robot import SLOW_LIDAR, Robot
 from .blocks import blocks
 from .conftest import DURATION, simulations_of, wclm
 
@@ -53,7 +53,7 @@ def device_commands() -> list[list[str]]:
 def robot(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Directory with the ports of an emulated robot in `robot`."""
     folder = tmp_path_factory.mktemp("emulated")
-    with Robot(folder):
+    with Robot(folder, "office", *SLOW_LIDAR):
         yield folder
 
 
@@ -62,6 +62,7 @@ def test_most_commands_with_devices_can_be_run() -> None:
     assert sum(words[0] == "live" for words in device_commands()) >= 3
 
 
+@pytest.mark.slow
 def test_commands_with_devices_run_on_an_emulated_robot(robot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(robot)
     given = {path.name for path in robot.iterdir()}
