@@ -123,7 +123,7 @@ def forth_and_back(seconds: float, legs: int) -> Iterator[list[Odometry | Scan]]
 def test_features_in_familiar_places_are_not_kept_wherever_the_last_keyframe_is() -> None:
     """The robot drives one way forth and back until all of it is familiar."""
     slam, keyframes, kept = Slam(), list[int](), list[int]()
-    for messages in forth_and_back(30.0, 14):
+    for messages in forth_and_back(22.0, 10):
         for message in messages:
             slam.add(message)
         keyframes.append(slam.slam_state.mapper.keyframe_count)

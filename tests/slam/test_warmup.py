@@ -41,7 +41,7 @@ mapped = compiled()
 write_session(directory, mapper.session)
 for frozen in (False, True):
     continued = slam.Slam(resumed=read_session(directory), frozen=frozen)
-    for message in elsewhere("office", "room", 6.0):
+    for message in elsewhere("office", "room", 6.0, rate=5.0):
         continued.add(replace(message, stamp=message.stamp + 1000.0))
 print(len(before) > 5, sorted(again - before), sorted(mapped - again), sorted(compiled() - mapped))
 """

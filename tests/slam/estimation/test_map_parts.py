@@ -31,7 +31,7 @@ from slam.reporting.scan_report import ScanReport
 from ..simulated_worlds import furnished_room
 
 LOST_AT, DURATION = 10.0, 60.0  # seconds of a drive through a room
-ROBOT = LidarModel(beams=240, rate=4.0)
+ROBOT = LidarModel(beams=180, rate=4.0)
 
 
 BARE_WALLS = np.array([[0.0, 0.0, 8.0, 0.0], [8.0, 0.0, 8.0, 6.0], [8.0, 6.0, 0.0, 6.0], [0.0, 6.0, 0.0, 0.0]])
@@ -239,11 +239,12 @@ def test_a_robot_that_was_lost_on_a_frozen_map_keeps_its_scans(scans: list[Proce
     assert np.hypot(apart[:, 0], apart[:, 1]).max() < 0.05
 
 
-def elsewhere(first: str, second: str, seconds: float) -> list[Message]:
+def elsewhere(first: str, second: str, seconds: float, rate: float = 10.0) -> list[Message]:
     """Return the messages of a robot that is carried from one world to another after some seconds."""
-    messages = list(Simulation(first, seed=1, duration=seconds, lidar=LidarModel(beams=240)))
+    lidar = LidarModel(beams=180, rate=rate)
+    messages = list(Simulation(first, seed=1, duration=seconds, lidar=lidar))
     odometry = next(message.pose for message in reversed(messages) if isinstance(message, Odometry))
-    later = list(Simulation(second, seed=2, duration=seconds, lidar=LidarModel(beams=240)))
+    later = list(Simulation(second, seed=2, duration=seconds, lidar=lidar))
     start = next(message.pose for message in later if isinstance(message, Odometry))
     delay = messages[-1].stamp - later[0].stamp + 1.0
     for message in later:
