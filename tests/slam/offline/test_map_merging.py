@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
-from itertools import takewhile
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,6 +18,7 @@ from typer.testing import CliRunner
 import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Message
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam import Slam
 from slam.cli.app import app
 from slam.config import config_to_toml
@@ -42,11 +42,12 @@ from ...recordings import recording_file
 pytestmark = pytest.mark.shared_run
 
 OFFICE = {
-    "first": ("sim:office?seed=1&duration=45&lidar=short", 0.0),
-    "second": ("sim:office?seed=2&duration=50&lidar=short", 15.0),
+    "first": (1, 0.0, 45.0),
+    "second": (2, 15.0, 50.0),
 }
-"""Two drives through one building, and the time in seconds from which each is used: the second starts on the path of
-the first."""
+"""Seeds of two drives through one building, and the times in seconds from and up to which each is used: the second
+starts on the path of the first."""
+LIDAR = replace(LIDAR_MODELS["short"], rate=4.0)
 
 
 def mapped(messages: Sequence[Message], name: str, directory: Path) -> Path:
@@ -65,17 +66,16 @@ def mapped(messages: Sequence[Message], name: str, directory: Path) -> Path:
 
 @cache
 def messages_of(name: str) -> list[Message]:
-    spec, start = OFFICE[name]
-    return [message for message in drivers.open(spec) if message.stamp >= start]
+    seed, start, stop = OFFICE[name]
+    return [m for m in Simulation("office", seed=seed, duration=stop, lidar=LIDAR) if m.stamp >= start]
 
 
 @pytest.fixture(scope="module")
 def sessions(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("sessions")
     written = {name: mapped(messages_of(name), name, folder / name) for name in OFFICE}
-    return written | {
-        "other": mapped(list(drivers.open("sim:equal_doors?duration=20&lidar=short")), "other", folder / "other")
-    }
+    elsewhere = list(Simulation("equal_doors", duration=20.0, lidar=LIDAR))
+    return written | {"other": mapped(elsewhere, "other", folder / "other")}
 
 
 def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSession]]:
@@ -213,19 +213,19 @@ def test_session_that_overlaps_no_other_is_refused(fake_sessions: dict[str, Any]
 # Places that look alike
 
 LOOKALIKE = {
-    "there": ("sim:corridor?seed=2&lidar=short", 0.0, 42.0),
-    "back": ("sim:corridor?seed=3&lidar=short", 113.0, 155.0),
-    "one side": ("sim:square?seed=2&lidar=short&odometry=bad", 0.0, 46.0),
-    "another side": ("sim:square?seed=3&lidar=short&odometry=bad", 115.0, 160.0),
+    "there": ("corridor", 2, "good", 0.0, 42.0),
+    "back": ("corridor", 3, "good", 113.0, 155.0),
+    "one side": ("square", 2, "bad", 0.0, 46.0),
+    "another side": ("square", 3, "bad", 115.0, 160.0),
 }
-"""Drives through a corridor with doors in both directions, and through a building with four equal sides, and the time
-in seconds from and up to which each is used."""
+"""Drives through a corridor with doors in both directions, and through a building with four equal sides, their
+seeds and wheels, and the time in seconds from and up to which each is used."""
 
 
 def scanned(name: str, directory: Path) -> tuple[StoredSession, Floats]:
     """Return the session of a drive, and the pose of its frame in the world."""
-    spec, start, stop = LOOKALIKE[name]
-    driven = takewhile(lambda message: message.stamp <= stop, drivers.open(spec))
+    world, seed, wheels, start, stop = LOOKALIKE[name]
+    driven = Simulation(world, seed=seed, duration=stop, lidar=LIDAR, wheels=WHEEL_MODELS[wheels])
     messages = [message for message in driven if message.stamp >= start]
     session = read_session(mapped(messages, name, directory / name))
     converge(session.slam_state.mapper)
