@@ -229,7 +229,7 @@ def assert_complete(run: Run) -> None:
 def test_stamps_and_messages_of_a_busy_host_are_right(
     robot: str, chance: float, longest: float, freezes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for seed in range(3):
+    for seed in range(3 if chance else 1):  # nothing is random if the host is never suspended
         run = simulate_run(robot, seed, chance, longest, freezes, monkeypatch)
         assert_in_order(run)
         assert_complete(run)

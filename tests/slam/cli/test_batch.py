@@ -41,7 +41,7 @@ def unfinished(out: Path) -> list[Path]:
 def test_batch_maps_valid_recordings_and_keeps_complete_results(wclm: Any, tmp_path: Path) -> None:
     out = tmp_path / "out"
     (tmp_path / "garbage.clf").write_bytes(bytes(range(256)) * 8)
-    batch = ("batch", *SHORT, "garbage.clf", "missing.mcap", "--out", "out", "--no-review", "--workers", 2)
+    batch = ("batch", *SHORT, "garbage.clf", "missing.mcap", "--out", "out", "--no-review", "--workers", 1)
     result = wclm(*batch)
     assert result.exit_code == 1, result.output
     assert "Traceback" not in result.output
