@@ -29,7 +29,7 @@ LATER = 1000.0  # seconds until the next
 
 def drive(world: str, seed: int, begin: float, end: float, shift: float = 0.0) -> list[Message]:
     """Return the messages between two times after the start of a simulated drive."""
-    messages = list(Simulation(world, seed=seed, duration=end, lidar=LidarModel(beams=360, rate=5.0)))
+    messages = list(Simulation(world, seed=seed, duration=end, lidar=LidarModel(beams=180, rate=5.0)))
     return [
         replace(message, stamp=message.stamp + shift)
         for message in messages

@@ -25,7 +25,7 @@ LATER = 10.0
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=4, duration=DURATION, lidar=LidarModel(beams=360, rate=5.0)))
+    return list(Simulation("office", seed=4, duration=DURATION, lidar=LidarModel(beams=180, rate=5.0)))
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ FREEZE, UNFREEZE = 14.0, 26.0
 
 
 def drive(seed: int = 3, world: str = "office", duration: float = DURATION) -> list[Message]:
-    return list(Simulation(world, seed=seed, duration=duration, lidar=LidarModel(beams=360, rate=5.0)))
+    return list(Simulation(world, seed=seed, duration=duration, lidar=LidarModel(beams=180, rate=5.0)))
 
 
 @pytest.fixture(scope="module")

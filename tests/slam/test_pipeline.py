@@ -48,12 +48,12 @@ def without_ground_truth(messages: Iterable[Message]) -> list[Message]:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("room", seed=3, duration=14.0, lidar=LidarModel(beams=360, rate=5.0)))
+    return list(Simulation("room", seed=3, duration=14.0, lidar=LidarModel(beams=180, rate=5.0)))
 
 
 @pytest.fixture(scope="module")
 def drive_with_frequent_scans() -> list[Message]:
-    return list(Simulation("room", seed=3, duration=14.0, lidar=LidarModel(beams=360, rate=10.0)))
+    return list(Simulation("room", seed=3, duration=14.0, lidar=LidarModel(beams=180, rate=10.0)))
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_odometry_that_contradicts_a_scan_is_a_warning_only_if_it_is_far_off(
 
 @pytest.mark.parametrize(("world", "duration", "bound"), [("room", 20.0, 0.006), ("office", 20.0, 0.015)])
 def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float, bound: float) -> None:
-    messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=360, rate=5.0)))
+    messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=180, rate=5.0)))
     finished = run(messages)
     assert error(finished, messages) < bound
     odometry = [message.stamp for message in messages if isinstance(message, Odometry)]

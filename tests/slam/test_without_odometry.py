@@ -34,7 +34,7 @@ def run(messages: list[Message]) -> Finished:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=1, duration=15.0, lidar=LidarModel(beams=360, rate=5.0)))
+    return list(Simulation("office", seed=1, duration=15.0, lidar=LidarModel(beams=180, rate=5.0)))
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,7 @@ def test_odometry_is_ignored(drive: list[Message], result: Finished) -> None:
 
 
 def test_a_corridor_without_an_end_in_sight_is_named() -> None:
-    lidar = LidarModel(range_max=3.0)
+    lidar = LidarModel(beams=360, range_max=3.0)
     messages = [m for m in Simulation("bare_corridor", seed=1, duration=25.0, lidar=lidar) if isinstance(m, Scan)]
     summary = run(messages).summary
     assert "DEGENERATE" in [state["state"] for state in summary["states"]]

@@ -55,7 +55,7 @@ def test_the_first_scan_is_due() -> None:
 
 def test_odometry_is_learned_between_keyframes_too() -> None:
     slam = Slam()
-    for message in Simulation(load_world("office"), 3, 20.0, LidarModel(beams=460), WHEEL_MODELS["good"]):
+    for message in Simulation(load_world("office"), 3, 20.0, LidarModel(beams=460, rate=5.0), WHEEL_MODELS["good"]):
         slam.add(message)
     state = slam.slam_state
     samples = state.odometry_model.samples
@@ -90,7 +90,7 @@ def leaving_a_room() -> Iterator[Message]:
     walls = np.array([[0.0, 0.0, 0.0, 3.0], [0.0, 3.0, 3.5, 3.0], [0.0, 0.0, 3.5, 0.0]])
     world = World("room", "an open room", walls, np.zeros((0, 3)), np.array([[1.0, 1.5], [9.0, 1.5]]), 0.4)
     exact = WheelModel(slip=0.0, encoder=0.0, scale_bias=0.0, difference_bias=0.0, wheelbase_bias=0.0)
-    for message in Simulation(world, 0, lidar=LidarModel(range_max=2.0), wheels=exact):
+    for message in Simulation(world, 0, lidar=LidarModel(beams=360, range_max=2.0), wheels=exact):
         if isinstance(message, Odometry):
             driven = float(message.pose[0])
             heading, beyond = VEER * min(driven, OPEN), max(driven - OPEN, 0.0)

@@ -75,7 +75,7 @@ class MappedSession:
 
 @pytest.fixture(scope="module")
 def session() -> MappedSession:
-    messages = list(Simulation("room", seed=3, duration=16.0, lidar=LidarModel(beams=360, rate=5.0)))
+    messages = list(Simulation("room", seed=3, duration=16.0, lidar=LidarModel(beams=180, rate=5.0)))
     preprocessor, estimator, scans = Preprocessor(Config()), Estimator(SlamState(Config())), []
     for message in messages:
         if isinstance(message, GroundTruth):
@@ -336,7 +336,7 @@ def test_session_without_a_map_is_not_refined() -> None:
 
 def test_stopped_odometry_is_detected() -> None:
     """Scans during the stop are placed by their neighbours, also if the online estimate followed odometry."""
-    messages = list(Simulation("office", seed=1, duration=14.0, lidar=LidarModel(beams=360, rate=5.0)))
+    messages = list(Simulation("office", seed=1, duration=14.0, lidar=LidarModel(beams=180, rate=5.0)))
     halted = [m for m in messages if isinstance(m, Odometry) and 8.0 < m.stamp - messages[0].stamp < 8.7]
     stands = [replace(m, pose=halted[0].pose) if m in halted else m for m in messages]
     finished = run(stands, refine=True)

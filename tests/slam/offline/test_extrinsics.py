@@ -14,7 +14,7 @@ from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.offline.calibration.extrinsics import Calibration, OdometryCorrection, calibrate
 
-ROBOT = LidarModel(beams=240, rate=4.0)
+ROBOT = LidarModel(beams=180, rate=4.0)
 MOUNT = np.array([0.15, -0.05, 0.3])
 GUESS = Config(lidar=LidarConfig(mount=(0.1, 0.0, 0.2)))
 """Initial mount, as measured with a ruler and by eye."""
