@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import numpy as np
-from pydantic import AfterValidator, AliasChoices, AliasPath, Field
+from pydantic import AliasChoices, AliasPath, Field, model_validator
 
 from ...loop_closure.decision import LoopMatch
 from ...loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
-from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose
-
-
-def _positive_definite(matrix: Matrix) -> Matrix:
-    if np.linalg.eigvalsh(np.array(matrix))[0] <= 0.0:
-        raise ValueError("is no covariance")
-    return matrix
+from .records import Finite, InvertibleCovariance, Length, Pose, Record, to_matrix, to_pose
 
 
 class _Match(Record):
     keyframe: int
     old: int
     relative: Pose
-    covariance: Annotated[Matrix, AfterValidator(_positive_definite)]
-    travelled: Finite
+    covariance: InvertibleCovariance
+    travelled: Length
     fit: Finite
     known: Finite
 
@@ -31,7 +23,7 @@ class _Match(Record):
 class _Hypothesis(Record):
     motion: Pose
     support: list[_Match] = Field(min_length=1)
-    contradictions: list[Finite]
+    contradictions: list[Length]
     admitted: bool = True  # earlier versions have not written it
 
 
@@ -40,20 +32,26 @@ class _Place(Record):
     keyframes: list[int]
     poses: list[Pose]
 
+    @model_validator(mode="after")
+    def _check(self) -> _Place:
+        if len(self.poses) != len(self.keyframes):
+            raise ValueError(f"has {len(self.poses)} poses of {len(self.keyframes)} keyframes")
+        return self
+
 
 class AgreementRecord(Record):
     """State of the search for agreement."""
 
-    last_search: Finite
+    last_search: Length
     places: list[_Place]
-    searched: list[tuple[int, Finite]]
-    returns: list[Finite]
+    searched: list[tuple[int, Length]]
+    returns: list[Length]
     # In earlier versions the estimate was a hypothesis.
-    contradictions: list[Finite] = Field(
+    contradictions: list[Length] = Field(
         validation_alias=AliasChoices("contradictions", AliasPath("estimate", "contradictions"))
     )
     hypotheses: list[_Hypothesis]
-    candidates: int
+    candidates: int = Field(ge=0)
     retracted: list[Pose]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...graph.factors import Factor, FactorKind, GraphState
-from .tables import TableReader, are_covariances, to_ragged, write_table
+from .tables import MAX_MAGNITUDE, TableReader, are_covariances, to_ragged, write_table
 
 MEASUREMENT_SIZES = {FactorKind.CORNER: 2, FactorKind.WALL_OFFSET: 4}
 """Length of a factor's measurement, if it is not a pose (3)."""
@@ -65,7 +65,7 @@ def read_factors(file: Path) -> tuple[list[Factor], list[Factor]]:
     kinds, unconfirmed = table.strings("kind"), table.booleans("unconfirmed")
     variables = table.integers("first", "second").tolist()
     measured, sizes = table.ragged_floats("measured")
-    covariances, covariance_sizes = table.ragged_floats("covariance")
+    covariances, covariance_sizes = table.ragged_floats("covariance", limit=MAX_MAGNITUDE)
     slopes, slope_sizes = table.ragged_floats("bias_slope")
     measured_ends, covariance_ends, slope_ends = (
         np.concatenate([[0], np.cumsum(s)]).tolist() for s in (sizes, covariance_sizes, slope_sizes)

@@ -22,11 +22,15 @@ from ...mapping.map_parts import MapParts
 from ..json_files import read_json
 from .agreement import AgreementRecord, agreement_record
 from .local_field import LocalFieldRecord, local_field_record, local_field_state
-from .records import Finite, Matrix, Pose, Record, to_matrix, to_pose, validated
+from .records import Covariance, Finite, Pose, Record, to_matrix, to_pose, validated
 from .sensor_models import SensorModelsRecord
 
 FORMAT = "wclm-slam session"
 SESSION_VERSION = 9
+MAX_SPEED = 1e3
+"""Largest velocity of a robot, metres or radians per second: far more than any has."""
+MAX_BIAS = 1.0
+"""Largest range bias, metres, as in the settings."""
 
 
 class Recording(Record):
@@ -57,25 +61,30 @@ class _PoseFix(Record):
     odometry: Pose
 
 
-class _Anchor(Record):
+class AnchorRecord(Record):
+    """See `Anchor`."""
+
     keyframe: int = Field(ge=0)
     relative: Pose
-    covariance: Matrix
+    covariance: Covariance
     odometry: Pose
 
 
-_Variance = Annotated[Finite, Field(gt=0.0)]
+_Seconds = Annotated[Finite, Field(ge=0.0)]
+_Speed = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_SPEED, le=MAX_SPEED)]
+_Variance = Annotated[Finite, Field(ge=0.0)]
+_PositiveVariance = Annotated[Finite, Field(gt=0.0)]
 
 
 class _Tracker(Record):
     fix: _PoseFix
     reference: _PoseFix
-    since_fix: Finite | None
+    since_fix: _Seconds | None
     scan_stamp: Finite | None
-    intervals: list[Finite]
-    velocity: tuple[Finite, Finite, Finite]
-    velocity_variances: tuple[Finite, Finite, Finite]
-    prediction_variances: tuple[_Variance, _Variance, _Variance]
+    intervals: list[_Seconds]
+    velocity: tuple[_Speed, _Speed, _Speed]
+    velocity_variances: tuple[_Variance, _Variance, _Variance]
+    prediction_variances: tuple[_PositiveVariance, _PositiveVariance, _PositiveVariance]
     prediction_scans: int = Field(ge=0)
     scans: int = Field(ge=0)
     slips: int = Field(ge=0)
@@ -88,10 +97,10 @@ class _Tracker(Record):
 class _Checkpoint(Record):
     tracker: _Tracker | None
     field: LocalFieldRecord
-    anchor: _Anchor | None
+    anchor: AnchorRecord | None
     kidnapped: bool
     kidnapped_keyframes: list[int]
-    learned_until: _Anchor | None = None
+    learned_until: AnchorRecord | None = None
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -103,7 +112,7 @@ class _Checkpoint(Record):
 class _Graph(Record):
     updates: int = Field(ge=0)
     qr: bool
-    range_bias: Finite
+    range_bias: float = Field(gt=-MAX_BIAS, lt=MAX_BIAS)
     waiting: int = Field(default=0, ge=0)
 
 
@@ -236,10 +245,10 @@ def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
     )
 
 
-def _anchor_record(anchor: Anchor | None) -> _Anchor | None:
+def _anchor_record(anchor: Anchor | None) -> AnchorRecord | None:
     if anchor is None:
         return None
-    return _Anchor(
+    return AnchorRecord(
         keyframe=anchor.keyframe,
         relative=to_pose(anchor.relative),
         covariance=to_matrix(anchor.covariance),
@@ -247,7 +256,7 @@ def _anchor_record(anchor: Anchor | None) -> _Anchor | None:
     )
 
 
-def _anchor(record: _Anchor | None) -> Anchor | None:
+def _anchor(record: AnchorRecord | None) -> Anchor | None:
     if record is None:
         return None
     return Anchor(record.keyframe, np.array(record.relative), np.array(record.covariance), np.array(record.odometry))

@@ -8,13 +8,29 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import MapError
+from ...geometry.segments import Floats
 from ...mapping.keyframes import KeyframeRecords
 from .scans import POSE_ENTRIES, UPPER_TRIANGLE, ScanRecords
-from .tables import TableReader, are_semidefinite, write_table
+from .tables import MAX_MAGNITUDE, TableReader, are_semidefinite, write_table
 
 POSE_COLUMNS = ("x", "y", "heading")
 CORRELATED_DRIFT = {"correlated_drift_xx": (0, 0), "correlated_drift_xy": (0, 1), "correlated_drift_yy": (1, 1)}
 """Columns of the correlated drift's covariance (2, 2), and their row and column in it."""
+
+
+FARTHER, NEAR = 10.0, 1e3
+"""Ratio of distances, and metres: the robot is not farther from the first keyframe than that of the driven distance,
+and so much more. Odometry may have measured less of a drive, and parts of a map may be apart.
+"""
+
+
+def are_reachable(positions: Floats, first: Floats, travelled: Sequence[float]) -> bool:
+    """Return True if the robot can have been at all positions (n, 2) in the map.
+
+    first      (2,) position of the first keyframe
+    travelled  metres driven up to each keyframe
+    """
+    return bool((np.hypot(*(positions - first).T) <= NEAR + FARTHER * travelled[-1]).all())
 
 
 def write_keyframes(file: Path, stamps: Sequence[float], records: KeyframeRecords) -> None:
@@ -31,9 +47,9 @@ def write_keyframes(file: Path, stamps: Sequence[float], records: KeyframeRecord
 def read_keyframes(file: Path, scans: ScanRecords) -> KeyframeRecords:
     """Read the table; stamps and landmark ids must be those of `scans`. Raises MapError naming the file."""
     table = TableReader(file)
-    if not np.array_equal(table.floats("stamp"), scans.keyframe_stamps):
+    if not np.array_equal(table.floats("stamp", limit=MAX_MAGNITUDE), scans.keyframe_stamps):
         raise MapError(f"{file}: the keyframes are not those of the table of scans")
-    upper = table.floats(*POSE_ENTRIES)
+    upper = table.floats(*POSE_ENTRIES, limit=MAX_MAGNITUDE)
     covariances = np.zeros((len(table), 3, 3))
     covariances[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = upper
     covariances[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper
@@ -42,9 +58,10 @@ def read_keyframes(file: Path, scans: ScanRecords) -> KeyframeRecords:
     travelled = table.floats("travelled").tolist()
     if (np.diff(travelled, prepend=0.0) < 0.0).any():
         raise MapError(f"{file}: the travelled distance decreases")
+    poses = table.floats(*POSE_COLUMNS)
+    if len(poses) and not are_reachable(poses[:, :2], poses[0, :2], travelled):
+        raise MapError(f"{file}: a keyframe is farther away than the robot can have driven")
     correlated_drift = np.zeros((len(table), 2, 2))
     for name, (row, column) in CORRELATED_DRIFT.items():
         correlated_drift[:, row, column] = correlated_drift[:, column, row] = table.floats(name)
-    return KeyframeRecords(
-        table.floats(*POSE_COLUMNS), travelled or [0.0], scans.landmark_ids, covariances, correlated_drift
-    )
+    return KeyframeRecords(poses, travelled or [0.0], scans.landmark_ids, covariances, correlated_drift)

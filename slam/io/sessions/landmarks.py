@@ -17,7 +17,7 @@ from ...geometry.segments import Floats
 from ...mapping.landmark_table import CORNER_DTYPE, WALL_DTYPE
 from ...mapping.landmarks import Landmarks
 from ...mapping.wall_removal import FreeSpaceEvidence
-from .tables import Ragged, TableReader, are_semidefinite, to_ragged, write_table
+from .tables import MAX_MAGNITUDE, Ragged, TableReader, are_semidefinite, to_ragged, write_table
 
 WALL_INTEGERS = ("observations", "first_seen", "last_seen", "merged_into", "removed_at")
 CORNER_INTEGERS = ("observations", "last_seen")
@@ -113,7 +113,7 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
 def _read_walls(table: TableReader, file: Path) -> NDArray[np.void]:
     rows = np.zeros(len(table), WALL_DTYPE)
     rows["frame"] = table.floats("x", "y", "heading")
-    rows["low"], rows["high"] = table.floats("low", finite=False), table.floats("high", finite=False)
+    rows["low"], rows["high"] = (table.floats(name, finite=False, limit=MAX_MAGNITUDE) for name in ("low", "high"))
     for name in WALL_INTEGERS:
         rows[name] = table.integers(name)
     for name, prefix in zip(COVARIANCES, ("", MAP_PREFIX), strict=True):
@@ -143,7 +143,7 @@ def _read_corners(file: Path) -> NDArray[np.void]:
 
 def _read_covariances(table: TableReader, file: Path, names: Sequence[str]) -> Floats:
     """Return the symmetric matrices (n, 2, 2) of the columns of their upper triangles. Raises MapError."""
-    covariances = table.floats(*names)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    covariances = table.floats(*names, limit=MAX_MAGNITUDE)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     if not are_semidefinite(covariances):
         raise MapError(f"{file}: the covariance of a landmark has a negative variance")
     return np.asarray(covariances)

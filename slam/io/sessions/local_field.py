@@ -6,35 +6,48 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ...geometry.segments import Floats
 from ...localisation.field_successor import FieldSuccessorState
 from ...localisation.local_field import LocalFieldState
-from .records import Finite, Pose, Record, to_pose
+from .records import Length, Pose, Position, Record, to_pose
 
 
 class _FieldSuccessor(Record):
-    centre: tuple[Finite, Finite]
+    centre: Position
     keyframes: list[int]
     poses: list[Pose]
+
+    @model_validator(mode="after")
+    def _check(self) -> _FieldSuccessor:
+        if len(self.poses) > len(set(self.keyframes)):
+            raise ValueError("more keyframes were inserted than were to be inserted")
+        return self
 
 
 class LocalFieldRecord(Record):
     """State of the distance field around the robot."""
 
-    centre: tuple[Finite, Finite]
+    centre: Position
     links: list[tuple[int, int]]
-    gaps: list[tuple[int, Annotated[Finite, Field(ge=0.0)]]]
+    gaps: list[tuple[int, Annotated[Length, Field(ge=0.0)]]]
     inserted: list[int]
     inserted_poses: list[Pose]
     successor: _FieldSuccessor | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> LocalFieldRecord:
+        if not len(self.inserted_poses) == len(self.inserted) == len(set(self.inserted)):
+            raise ValueError("does not have a pose for each keyframe that was inserted")
+        return self
 
     @property
     def keyframes(self) -> list[int]:
         """All keyframes that the state refers to, some of them several times."""
         following = [] if self.successor is None else self.successor.keyframes
-        return [*self.inserted, *following, *(keyframe for link in self.links for keyframe in link)]
+        linked = (keyframe for link in self.links for keyframe in link)
+        return [*self.inserted, *following, *linked, *(keyframe for keyframe, _ in self.gaps)]
 
 
 def local_field_record(state: LocalFieldState) -> LocalFieldRecord:

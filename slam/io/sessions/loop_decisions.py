@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .tables import TableReader, write_table
+from .tables import MAX_MAGNITUDE, TableReader, write_table
 
 STRINGS = ("status", "reason")
 INTEGERS = ("candidate", "keyframe", "old", "matches", "merged")
@@ -30,7 +30,7 @@ def read_loop_decisions(file: Path) -> list[dict[str, Any]]:
     """Read the table. Raises MapError naming the file."""
     table = TableReader(file)
     columns: dict[str, list[Any]] = {name: table.integers(name).tolist() for name in INTEGERS}
-    columns |= {name: table.floats(name).tolist() for name in FLOATS}
+    columns |= {name: table.floats(name, limit=MAX_MAGNITUDE).tolist() for name in FLOATS}
     columns |= {name: table.strings(name) for name in STRINGS}
     columns["motion"] = table.floats(*MOTION).tolist()
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]

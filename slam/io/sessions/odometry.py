@@ -11,7 +11,7 @@ import numpy as np
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
-from .tables import Column, TableReader, write_row_groups
+from .tables import MAX_MAGNITUDE, Column, TableReader, write_row_groups
 
 POSE_COLUMNS = ("x", "y", "heading")
 
@@ -34,7 +34,8 @@ def _columns(segment: int, stamps: Floats, poses: Floats) -> dict[str, Column]:
 def read_odometry(file: Path) -> list[OdometryHistory]:
     """Read the odometry of each segment. Raises MapError naming the file."""
     table = TableReader(file)
-    segment, stamps, poses = table.integers("segment"), table.floats("stamp"), table.floats(*POSE_COLUMNS)
+    segment, stamps = table.integers("segment"), table.floats("stamp", limit=MAX_MAGNITUDE)
+    poses = table.floats(*POSE_COLUMNS)
     if (np.diff(segment) < 0).any() or (np.diff(stamps) <= 0).any():
         raise MapError(f"{file}: the readings are not in time order")
     return [OdometryHistory.from_arrays(stamps[segment == k], poses[segment == k]) for k in np.unique(segment).tolist()]

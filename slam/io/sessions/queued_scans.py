@@ -10,7 +10,7 @@ import numpy as np
 from drivers.messages import Scan
 
 from ...errors import MapError
-from .tables import TableReader, to_ragged, write_table
+from .tables import MAX_MAGNITUDE, TableReader, to_ragged, write_table
 
 BEAM_COLUMNS = ("range", "angle", "time_offset")
 SCAN_COLUMNS = ("stamp", "range_min", "range_max")
@@ -39,7 +39,9 @@ def read_queued_scans(file: Path) -> list[Scan]:
     """Read the table. Raises MapError naming the file."""
     table = TableReader(file)
     mounts = table.floats(*MOUNT_COLUMNS, finite=False)
-    stamps, range_min, range_max = (table.floats(name, finite=name == "stamp") for name in SCAN_COLUMNS)
+    stamps, range_min, range_max = (
+        table.floats(name, finite=name == "stamp", limit=MAX_MAGNITUDE) for name in SCAN_COLUMNS
+    )
     beams, lengths = table.ragged_floats(*BEAM_COLUMNS, finite=False)
     if not np.isfinite(beams[:, 1:]).all():
         raise MapError(f"{file}: the angle or time of a beam is not finite")

@@ -5,15 +5,38 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from ...errors import MapError, first_line
 from ...geometry.segments import Floats
-from .tables import MAX_MAGNITUDE
+from .tables import MAX_DEVIATION, MAX_LENGTH, MAX_MAGNITUDE, are_covariances, are_semidefinite
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
-Pose = tuple[Finite, Finite, Finite]
-Matrix = tuple[Pose, Pose, Pose]
+Length = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_LENGTH, le=MAX_LENGTH)]
+"""Metres or radians."""
+Position = tuple[Length, Length]
+Pose = tuple[Length, Length, Length]
+Row = tuple[Finite, Finite, Finite]
+Matrix = tuple[Row, Row, Row]
+
+
+def _semidefinite(matrix: Matrix) -> Matrix:
+    covariance = np.array([matrix])
+    if not are_semidefinite(covariance) or not (covariance < MAX_DEVIATION**2).all():
+        raise ValueError("is no covariance")
+    return matrix
+
+
+def _positive_definite(matrix: Matrix) -> Matrix:
+    if not are_covariances(np.array([matrix])):
+        raise ValueError("is no covariance")
+    return matrix
+
+
+Covariance = Annotated[Matrix, AfterValidator(_semidefinite)]
+"""Of a pose; zero in directions in which it is certain."""
+InvertibleCovariance = Annotated[Matrix, AfterValidator(_positive_definite)]
 
 
 class Record(BaseModel):
@@ -32,7 +55,8 @@ def validated(kind: type[Kind], data: Any, file: Path) -> Kind:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise MapError(f"{file}: {key}: {first_line(ValueError(first['msg']))}") from error
+        problem = first["msg"].removeprefix("Value error, ")  # which says nothing
+        raise MapError(f"{file}: {key}: {first_line(ValueError(problem))}") from error
 
 
 def to_pose(pose: Floats) -> Pose:

@@ -13,6 +13,7 @@ from ...geometry.segments import Floats
 from ...graph.factors import Factor, FactorKind, GraphState, keys_of
 from ...graph.variable_keys import keyframe_keys, landmark_keys, name_of, point_map_keys
 from ...mapping.drift_covariance import odometry_tree
+from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmark_table import NEVER_REMOVED, UNOBSERVED
 from ...mapping.landmarks import Landmarks
 from .tables import ROUNDING
@@ -25,11 +26,14 @@ def check_variables(file: Path, graph: GraphState, landmarks: Landmarks, keyfram
     if not _within(graph.point_maps, 0, keyframes):
         raise MapError(f"{file}: has a point map of a keyframe that does not exist")
     for name, ids, table in (("wall", graph.walls, landmarks.walls), ("corner", graph.corners, landmarks.corners)):
-        if not _within(ids, 0, len(table)):
-            raise MapError(f"{file}: has a {name} that does not exist")
-        missing = np.setdiff1d(np.flatnonzero(table.rows["in_graph"]), ids)
-        if len(missing):
+        confirmed = np.flatnonzero(table.rows["in_graph"])
+        if len(missing := np.setdiff1d(confirmed, ids)):
             raise MapError(f"{file}: the {name} {missing[0]} is confirmed, but is no variable of the graph")
+        if len(unknown := np.setdiff1d(ids, confirmed)):
+            raise MapError(f"{file}: the {name} {unknown[0]} is a variable of the graph, but is not confirmed")
+    for name, ids in (("wall", graph.walls), ("corner", graph.corners), ("point map", graph.point_maps)):
+        if (np.diff(ids) <= 0).any():
+            raise MapError(f"{file}: has a {name} twice, or not in the order of their numbers")
 
 
 def check_landmarks(file: Path, landmarks: Landmarks, keyframes: int) -> None:
@@ -43,6 +47,13 @@ def check_landmarks(file: Path, landmarks: Landmarks, keyframes: int) -> None:
         raise MapError(f"{file}: a landmark was seen in a keyframe that does not exist")
     if not (_within(walls["merged_into"], UNOBSERVED, len(walls)) and _within(corners["walls"], -1, len(walls))):
         raise MapError(f"{file}: a landmark refers to a wall that does not exist")
+
+
+def check_landmark_ids(file: Path, landmark_ids: Sequence[LandmarkIds], landmarks: Landmarks) -> None:
+    """Raise MapError naming `file`, the table of scans, if a keyframe observes a landmark that does not exist."""
+    for ids in landmark_ids:  # -1 where no landmark is observed
+        if not (_within(ids.walls, -1, len(landmarks.walls)) and _within(ids.corners, -1, len(landmarks.corners))):
+            raise MapError(f"{file}: a keyframe observes a landmark that does not exist")
 
 
 def check_factors(

@@ -31,6 +31,10 @@ SWEEP_COLUMN = "sweep_covariance"
 SIGMA_COLUMN = "point_sigma"
 """Standard deviations of the ranges of points. Earlier versions had none."""
 UPPER_TRIANGLE = np.triu_indices(3)
+MAX_RANGE = 1e5
+"""Largest coordinate of a feature, metres: lidars measure some hundred metres."""
+MIN_HALF_LENGTH = 1e-3
+"""Smallest half length of a line, metres: those of scans have some decimetres."""
 # Share of a covariance's trace by which an eigenvalue may be negative, as entries are rounded. Origin: numerical, some
 # units of single precision.
 ROUNDED = 1e-6
@@ -85,8 +89,11 @@ def _to_point_units(column: Ragged) -> Ragged:
 
 def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFeatures]:
     """Read the columns of features and points of all rows. Raises MapError naming the file."""
-    segments = split_rows(*table.ragged_floats(*(f"segment_{name}" for name in SEGMENT_COLUMNS)))
-    corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS)))
+    values, lengths = table.ragged_floats(*(f"segment_{name}" for name in SEGMENT_COLUMNS), limit=MAX_RANGE)
+    if (values[:, 3] < MIN_HALF_LENGTH).any():
+        raise MapError(f"{file}: a segment is shorter than {2.0 * MIN_HALF_LENGTH:g} m")
+    segments = split_rows(values, lengths)
+    corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS), limit=MAX_RANGE))
     pairs = split_rows(*table.ragged_integers("corner_before", "corner_after"))
     points, sweeps = _read_points(table, exact=exact), _read_sweep_covariances(table, file)
     sigmas = _read_sigmas(table, file)
@@ -121,6 +128,16 @@ def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFe
     return scans
 
 
+def are_rounded_from(rounded: Sequence[ScanFeatures], exact: Sequence[ScanFeatures]) -> bool:
+    """Return True if the features that were stored with reduced precision are those of the exact ones."""
+    before, after = (feature_columns(features, exact=False) for features in (rounded, exact))
+    return all(
+        np.array_equal(before[name].lengths, after[name].lengths)
+        and np.array_equal(before[name].values, after[name].values)
+        for name in before
+    )
+
+
 def _read_sweep_covariances(table: TableReader, file: Path) -> Floats:
     """Return the sweep covariances (n, 3, 3), zero for scans without. Raises MapError naming the file."""
     covariances = np.zeros((len(table), 3, 3))
@@ -151,7 +168,7 @@ def _read_sigmas(table: TableReader, file: Path) -> list[float]:
 
 def _read_points(table: TableReader, *, exact: bool) -> list[Floats]:
     if exact:
-        return split_rows(*table.ragged_floats(*POINT_COLUMNS))
+        return split_rows(*table.ragged_floats(*POINT_COLUMNS, limit=MAX_RANGE))
     counts, lengths = table.ragged_integers(*POINT_COLUMNS)
     return split_rows(POINT_UNIT * counts.astype(np.float64), lengths)
 

@@ -18,10 +18,11 @@ from ...geometry.segments import Floats, Integers
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.mapped_keyframes import MAX_RECENT_SEGMENTS
 from ...mapping.trajectory_builder import TrajectoryBuilder
+from ...matching.line_matcher import ScanFeatures
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
-from .scan_features import feature_columns, read_features, split_rows
-from .tables import Column, Ragged, TableReader, to_ragged, write_row_groups, write_table
+from .scan_features import are_rounded_from, feature_columns, read_features, split_rows
+from .tables import MAX_MAGNITUDE, Column, Ragged, TableReader, to_ragged, write_row_groups, write_table
 
 EXACT_KEYFRAMES = MAX_RECENT_SEGMENTS
 """Last keyframes whose features are stored exactly: all that are used online."""
@@ -153,24 +154,22 @@ def write_recent_keyframes(file: Path, records: ScanRecords) -> None:
 def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
     """Read both tables. Raises MapError naming the file."""
     table = TableReader(file)
-    stamps, odometry = table.floats("stamp"), table.floats("odometry_x", "odometry_y", "odometry_heading")
+    stamps = table.floats("stamp", limit=MAX_MAGNITUDE)
+    if (np.diff(stamps) < 0.0).any():
+        raise MapError(f"{file}: the scans are not in time order")
+    odometry = table.floats("odometry_x", "odometry_y", "odometry_heading")
     features = read_features(table, file, exact=False)
-    recent = TableReader(recent_keyframes)
-    exact_features = read_features(recent, recent_keyframes, exact=True)
-    for row, exact in zip(recent.integers("row").tolist(), exact_features, strict=True):
-        if not 0 <= row < len(features) or len(exact.segments) != len(features[row].segments):
-            raise MapError(f"{recent_keyframes}: does not belong to the same session as {file.name}")
-        features[row] = exact
+    keyframe, anchor = table.integers("keyframe"), table.integers("anchor")
+    rows = np.flatnonzero(keyframe >= 0)
+    if not np.array_equal(keyframe[rows], np.arange(len(rows))) or (anchor >= len(rows)).any():
+        raise MapError(f"{file}: the keyframes are not in order")
+    _read_recent_keyframes(recent_keyframes, features, rows[-EXACT_KEYFRAMES:])
     has_features = table.booleans("has_features")
     travel = table.floats("sweep_travel").tolist()
     features = [one if has_features[row] else NO_FEATURES for row, one in enumerate(features)]
     scans = ScanSequence(
         ProcessedScan(float(stamps[row]), odometry[row], features[row], travel[row]) for row in range(len(table))
     )
-    keyframe, anchor = table.integers("keyframe"), table.integers("anchor")
-    rows = np.flatnonzero(keyframe >= 0)
-    if not np.array_equal(keyframe[rows], np.arange(len(rows))) or (anchor >= len(rows)).any():
-        raise MapError(f"{file}: the keyframes are not in order")
     walls, corners = (split_rows(*table.ragged_integers(name)) for name in (SEGMENT_IDS, CORNER_IDS))
     landmark_ids = [LandmarkIds(walls[row][:, 0], corners[row][:, 0]) for row in rows.tolist()]
     for row, ids in zip(rows.tolist(), landmark_ids, strict=True):
@@ -179,10 +178,21 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
     return ScanRecords(scans, _read_trajectory(table, stamps, anchor), stamps[rows].tolist(), landmark_ids)
 
 
+def _read_recent_keyframes(file: Path, features: list[ScanFeatures], rows: Integers) -> None:
+    """Replace the features of the last keyframes, which are at `rows`, by the exact ones."""
+    table = TableReader(file)
+    exact = read_features(table, file, exact=True)
+    belongs = np.array_equal(table.integers("row"), rows)
+    if not belongs or not are_rounded_from([features[row] for row in rows.tolist()], exact):
+        raise MapError(f"{file}: does not belong to the same session as the table of scans")
+    for row, one in zip(rows.tolist(), exact, strict=True):
+        features[row] = one
+
+
 def _read_trajectory(table: TableReader, stamps: Floats, anchor: Integers) -> TrajectoryBuilder:
     """Read the poses of the scans with an anchor, relative to it."""
     relative = table.floats("relative_x", "relative_y", "relative_heading")
-    upper = table.floats(*(f"information_{name}" for name in POSE_ENTRIES))
+    upper = table.floats(*(f"information_{name}" for name in POSE_ENTRIES), limit=MAX_MAGNITUDE)
     informations = np.zeros((len(table), 3, 3))
     informations[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = upper
     informations[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper

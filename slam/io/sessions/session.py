@@ -15,6 +15,7 @@ from ...errors import MapError, first_line
 from ...estimation.refinement import build_scan_history
 from ...estimation.slam_state import SlamState
 from ...graph.graph_storage import graph_state
+from ...mapping.keyframes import KeyframeRecords
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
 from ...mapping.wall_roughness import WallRoughness
@@ -24,12 +25,13 @@ from ..stored_session import StoredSession
 from .agreement import agreement_state
 from .graph import read_factors, read_graph, write_factors, write_variables
 from .header import SessionHeader, read_header, write_header
+from .header_references import check_header
 from .keyframes import read_keyframes, write_keyframes
 from .landmarks import read_free_space_evidence, read_landmarks, write_corners, write_walls
 from .loop_decisions import read_loop_decisions, write_loop_decisions
 from .odometry import read_odometry, write_odometry
 from .queued_scans import read_queued_scans, write_queued_scans
-from .references import check_drift, check_factors, check_landmarks, check_variables
+from .references import check_drift, check_factors, check_landmark_ids, check_landmarks, check_variables
 from .scans import ScanRecords, read_scans, write_recent_keyframes, write_scans
 from .sensor_models import SensorModelsRecord
 
@@ -100,16 +102,18 @@ def read_session(path: Path, *, solve: bool = True) -> StoredSession:
     config = load_config(path / CONFIG)
     scans = read_scans(folder / SCANS, folder / RECENT_KEYFRAMES)
     landmarks = read_landmarks(folder / WALLS, folder / CORNERS)
-    _check_references(folder / HEADER, header, scans, landmarks)
+    records, odometry = read_keyframes(folder / KEYFRAMES, scans), read_odometry(folder / ODOMETRY)
+    check_header(folder / HEADER, header, scans, records, odometry)
+    check_landmark_ids(folder / SCANS, scans.landmark_ids, landmarks)
     landmarks.parts = header.map_parts
-    slam_state = _read_slam_state(path, config, header, scans, landmarks)
+    slam_state = _read_slam_state(path, config, header, scans, records, landmarks)
     if solve:
         slam_state.mapper.solve_waiting()
     return StoredSession(
         config=config,
         slam_state=slam_state,
         scans=scans.scans,
-        odometry=read_odometry(folder / ODOMETRY),
+        odometry=odometry,
         starts=list(header.segment_starts),
         noise=header.sensor_models.noise,
         recordings=list(header.recordings),
@@ -120,11 +124,15 @@ def read_session(path: Path, *, solve: bool = True) -> StoredSession:
 
 
 def _read_slam_state(
-    path: Path, config: Config, header: SessionHeader, scans: ScanRecords, landmarks: Landmarks
+    path: Path,
+    config: Config,
+    header: SessionHeader,
+    scans: ScanRecords,
+    records: KeyframeRecords,
+    landmarks: Landmarks,
 ) -> SlamState:
     """Read the remaining tables and restore the state. Raises MapError."""
     folder = path / SESSION
-    records = read_keyframes(folder / KEYFRAMES, scans)
     rows = build_scan_history(scans.scans, scans.trajectory, scans.keyframe_stamps, ()).keyframes
     keyframes = {k: scans.scans[row] for k, row in enumerate(rows.tolist())}
     factors, unconfirmed = read_factors(folder / FACTORS)
@@ -153,37 +161,3 @@ def _read_slam_state(
             )
     except RESTORING_ERRORS as error:
         raise MapError(f"{path}: the session cannot be restored: {first_line(error)}") from error
-
-
-def _check_references(file: Path, header: SessionHeader, scans: ScanRecords, landmarks: Landmarks) -> None:
-    """Raise MapError if a keyframe, scan or landmark that is referred to does not exist."""
-    count, anchor = len(scans.keyframe_stamps), header.checkpoint.anchor
-    if anchor is not None and anchor.keyframe >= count:
-        raise MapError(f"{file}: checkpoint.anchor: keyframe {anchor.keyframe} of {count} does not exist")
-    if any(not 0 <= keyframe < count for keyframe in header.checkpoint.kidnapped_keyframes):
-        raise MapError(f"{file}: checkpoint.kidnapped_keyframes: there are {count} keyframes")
-    parts = header.map_parts
-    if parts.firsts[0] != 0 or parts.groups[0] != 0 or any(np.diff(parts.firsts) <= 0) or parts.firsts[-1] > count:
-        raise MapError(f"{file}: parts: these are not parts of {count} keyframes in their order")
-    if any(group > part or parts.groups[group] != group for part, group in enumerate(parts.groups)):
-        raise MapError(f"{file}: parts: a part is joined with a part that does not exist")
-    tracker, field = header.checkpoint.tracker, header.checkpoint.field
-    if tracker is not None and tracker.slips > tracker.scans:
-        raise MapError(f"{file}: checkpoint.tracker: more slips than scans")
-    if tracker is not None and not tracker.repeated_slips <= tracker.after_slips <= tracker.slips:
-        raise MapError(
-            f"{file}: checkpoint.tracker: the numbers of scans after slips and of slips contradict each other"
-        )
-    if any(not 0 <= keyframe < count for keyframe in field.keyframes):
-        raise MapError(f"{file}: checkpoint.field: there are {count} keyframes")
-    if field.successor is not None and len(field.successor.poses) > len(field.successor.keyframes):
-        raise MapError(f"{file}: checkpoint.field: more keyframes were inserted than were to be inserted")
-    for name, record in [("agreement", header.agreement), *(("joins", record) for record in header.joins.values())]:
-        if any(not 0 <= keyframe < count for keyframe in agreement_state(record).keyframes):
-            raise MapError(f"{file}: {name}: there are {count} keyframes")
-    if any(not 0 <= row <= len(scans.scans) for row in header.segment_starts):
-        raise MapError(f"{file}: segment_starts: there are {len(scans.scans)} scans")
-    walls = max((int(ids.walls.max(initial=-1)) for ids in scans.landmark_ids), default=-1)
-    corners = max((int(ids.corners.max(initial=-1)) for ids in scans.landmark_ids), default=-1)
-    if walls >= len(landmarks.walls) or corners >= len(landmarks.corners):
-        raise MapError(f"{file.with_name(SCANS)}: a keyframe observes a landmark that does not exist")

@@ -29,10 +29,14 @@ VALUE_SIZE = 8
 """Bytes of a value in memory."""
 MAX_RATIO = 200
 """Ratio of the sizes of a table in memory and as a file. Tables of long sessions have 3 to 20."""
+MAX_LENGTH = 2e7
+"""Largest absolute value of a length, metres, or angle, radians: half the circumference of the Earth."""
 MAX_MAGNITUDE = 1e15
-"""Largest absolute value of a number; the largest that occur are stamps, 2e9 seconds. Their squares are finite."""
-MIN_DEVIATION = 1e-9
-"""Smallest standard deviation, metres or radians: no measurement is as precise."""
+"""Largest absolute value of any other number, such as stamps, covariances and informations. Its square is finite."""
+MIN_DEVIATION, MAX_DEVIATION = 1e-9, 1e4
+"""Smallest and largest standard deviation of a measurement, metres or radians: none is as precise, and beside one that
+is less precise the others would be lost in rounding.
+"""
 ROUNDING = 1e-9
 """Relative rounding error of computed covariances, with a large margin: 1e-15 occurs."""
 ALWAYS_ALLOWED = 1 << 26
@@ -133,7 +137,7 @@ def are_covariances(matrices: Floats) -> bool:
     inverted.
     """
     deviations = np.sqrt(np.diagonal(matrices, axis1=1, axis2=2).clip(min=0.0))
-    if not ((deviations > MIN_DEVIATION) & (deviations < MAX_MAGNITUDE)).all():
+    if not ((deviations > MIN_DEVIATION) & (deviations < MAX_DEVIATION)).all():
         return False
     correlations = matrices / deviations[:, :, None] / deviations[:, None, :]
     return bool((np.linalg.eigvalsh(correlations) > 0.0).all()) if len(matrices) else True
@@ -193,14 +197,14 @@ class TableReader:
             raise MapError(f"{self._path}: has {values} values, which is more than {MAX_RATIO} times its size")
         return file
 
-    def floats(self, *names: str, finite: bool = True) -> Floats:
+    def floats(self, *names: str, finite: bool = True, limit: float = MAX_LENGTH) -> Floats:
         """Return columns of floats: (n,) for one name, (n, d) for several.
 
-        Raises MapError if a value is not finite, unless `finite` is False.
+        Raises MapError if a value is not finite, unless `finite` is False, or beyond `limit`.
         """
         columns = [np.asarray(self._column(name, pa.types.is_floating), dtype=np.float64) for name in names]
         for name, column in zip(names, columns, strict=True):
-            self._check_values(name, column, finite=finite)
+            self._check_values(name, column, finite=finite, limit=limit)
         return columns[0] if len(names) == 1 else np.column_stack(columns)
 
     def integers(self, *names: str) -> NDArray[np.int64]:
@@ -219,26 +223,28 @@ class TableReader:
         except UnicodeDecodeError as error:
             raise MapError(f"{self._path}: the column {name} has text that is not UTF-8") from error
 
-    def ragged_floats(self, *names: str, finite: bool = True) -> tuple[Floats, NDArray[np.int64]]:
+    def ragged_floats(
+        self, *names: str, finite: bool = True, limit: float = MAX_LENGTH
+    ) -> tuple[Floats, NDArray[np.int64]]:
         """Return ragged columns of equal lengths: the concatenated values (m, d) and the length of each row (n,).
 
-        Raises MapError if lengths differ, or if a value is not finite, unless `finite` is False.
+        Raises MapError if lengths differ, or if a value is not finite, unless `finite` is False, or beyond `limit`.
         """
         columns = [self._ragged(name, pa.types.is_floating) for name in names]
-        return self._stack(names, columns, np.float64, finite=finite)
+        return self._stack(names, columns, np.float64, finite=finite, limit=limit)
 
     def ragged_integers(self, *names: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return ragged columns of integers, like `ragged_floats`."""
         columns = [self._ragged(name, pa.types.is_integer) for name in names]
-        return self._stack(names, columns, np.int64, finite=True)
+        return self._stack(names, columns, np.int64, finite=True, limit=MAX_MAGNITUDE)
 
     def _stack(
-        self, names: Sequence[str], columns: Sequence[Ragged], dtype: type, *, finite: bool
+        self, names: Sequence[str], columns: Sequence[Ragged], dtype: type, *, finite: bool, limit: float
     ) -> tuple[Array, Array]:
         lengths = columns[0].lengths
         for name, column in zip(names, columns, strict=True):
             self._check(name, np.array_equal(column.lengths, lengths), f"has other lengths than {names[0]}")
-            self._check_values(name, column.values, finite=finite)
+            self._check_values(name, column.values, finite=finite, limit=limit)
         return np.column_stack([column.values for column in columns]).astype(dtype), lengths
 
     def _column(self, name: str, has_type: Any) -> Array:
@@ -263,12 +269,12 @@ class TableReader:
             return pa.nulls(0, column.type)
         return column
 
-    def _check_values(self, name: str, values: Array, *, finite: bool) -> None:
-        """Raise MapError if a value is not finite, unless `finite` is False, or too large to compute with."""
+    def _check_values(self, name: str, values: Array, *, finite: bool, limit: float) -> None:
+        """Raise MapError if a value is not finite, unless `finite` is False, or beyond `limit`."""
         is_finite = np.isfinite(values)
         self._check(name, not finite or bool(is_finite.all()), "has values that are not finite")
-        large = np.abs(values[is_finite].astype(np.float64)) > MAX_MAGNITUDE
-        self._check(name, not large.any(), f"has values beyond {MAX_MAGNITUDE:g}")
+        large = np.abs(values[is_finite].astype(np.float64)) > limit
+        self._check(name, not large.any(), f"has values beyond {limit:g}")
 
     def _check(self, name: str, valid: bool, problem: str) -> None:
         if not valid:
