@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 # Conditions at most, evenly chosen of those that say anything; the time grows with the square of the number. Conditions
 # between the same places say the same. Origin: numerical.
 MAX_CONDITIONS = 150
+# Share of the largest variance of the drift below which that of a condition is lost in rounding. Origin: numerical, a
+# thousand units of double precision, for sums over MAX_CONDITIONS.
+ROUNDING = 1e-12
 # Kinds of factors that state the place of a wall across it. Origin: definition.
 WALL_CONDITIONS = FactorKind.WALL_OFFSET, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL
 # Kinds of factors that state the pose of a keyframe, relative to another one or in the map. Origin: definition.
@@ -76,7 +79,9 @@ class DriftCovariance:
         self._first = np.maximum.accumulate(np.where(branches, np.arange(mapper.keyframe_count), 0))
         conditions = self._chosen(_conditions_of(mapper))
         self._conditions = conditions
-        covariance = self._of_conditions(conditions, conditions) + np.diag(conditions.variance)
+        rounding = ROUNDING * self._variances.max(initial=0.0)
+        variance = np.maximum(conditions.variance, rounding)
+        covariance = self._of_conditions(conditions, conditions) + np.diag(variance)
         # turns the conditions into independent ones with variance 1
         self._whitening = np.linalg.inv(np.linalg.cholesky(covariance)) if len(covariance) else None
 

@@ -76,3 +76,9 @@ def test_the_covariance_is_that_of_drifts_that_fulfil_the_conditions() -> None:
 
 def test_a_map_without_keyframes_has_no_drift() -> None:
     assert len(DriftCovariance(driven([])).of(np.zeros(0, dtype=np.int64))) == 0
+
+
+def test_loops_that_say_the_same_more_precisely_than_can_be_computed_count_as_one() -> None:
+    drift = DriftCovariance(driven(list(range(10)), *[loop(0, 10, 1e-9)] * 3))
+    assert along(drift, 10, 10) == pytest.approx(0.0, abs=1e-9)
+    assert along(drift, 5, 5) == pytest.approx(0.025, rel=0.01)
