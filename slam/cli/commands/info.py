@@ -21,8 +21,10 @@ if TYPE_CHECKING:
     from ...io.recording_timing import RecordingTiming
 
 
-MAX_INTENSITY = 1e9
-"""Intensities from here on are no measurements, which have 16 bits at most, but memory that a driver did not set."""
+MIN_INTENSITY, MAX_INTENSITY = 1e-9, 1e9
+"""Limits of the largest intensity: others are no measurements, which have 16 bits at most, but memory that a driver did
+not set.
+"""
 
 
 def info(
@@ -60,9 +62,7 @@ def describe(found: RecordingInfo, timing: RecordingTiming) -> list[str]:
     if found.invalid_share is not None:
         rows.append(("no-return", f"{100 * found.invalid_share:.1f} % of the beams"))
     if found.intensities is not None:
-        low, high = found.intensities
-        meaning = ", in the lidar's own unit" if high < MAX_INTENSITY else ": memory that the driver did not set"
-        rows.append(("intensity", f"{low:g} to {high:g}{meaning}"))
+        rows.append(("intensity", _intensity(*found.intensities)))
     for x, y, heading in found.mounts:
         rows.append(("lidar", f"mounted at x {x:z.3f} m, y {y:z.3f} m, heading {math.degrees(heading):z.1f} degrees"))
     driven = f", {found.path_length:.1f} m driven" if found.odometry else ""
@@ -90,6 +90,16 @@ def _time(found: RecordingInfo) -> str:
     if found.start > MIN_EPOCH_STAMP:
         start = f"{datetime.fromtimestamp(found.start, UTC):%Y-%m-%d %H:%M:%S} UTC ({start})"
     return f"{found.duration:.1f} s from {start}"
+
+
+def _intensity(low: float, high: float) -> str:
+    """Return what is known of the intensities, of which these are the least and the largest."""
+    if low == high:
+        return f"{high:g} for all returns: not measured"
+    measured = high <= 0.0 or MIN_INTENSITY < high < MAX_INTENSITY
+    return f"{low:g} to {high:g}" + (
+        ", in the lidar's own unit" if measured else ": memory that the driver did not set"
+    )
 
 
 def _count(count: int, rate: float | None) -> str:

@@ -64,15 +64,24 @@ def test_sorted_messages_are_not_counted_as_skipped(wclm: Any, tmp_path: Path) -
     assert "1 entry skipped, first a.clf:31: " in wclm("info", "a.clf").stdout
 
 
-def test_intensities_that_a_driver_did_not_set_are_named(wclm: Any, tmp_path: Path) -> None:
-    for name, brightest in (("set.mcap", 4095.0), ("unset.mcap", 7.3e31)):
-        with McapWriter(tmp_path / name) as writer:
-            for message in drivers.open(SHORT):
-                if isinstance(message, Scan):
-                    message = replace(message, intensities=np.linspace(0.0, brightest, len(message.ranges)))
-                writer.write(message)
-    assert "intensity   0 to 4095, in the lidar's own unit" in wclm("info", "set.mcap").stdout
-    assert "intensity   0 to 7.3e+31: memory that the driver did not set" in wclm("info", "unset.mcap").stdout
+@pytest.mark.parametrize(
+    ("weakest", "strongest", "text"),
+    [
+        (0.0, 4095.0, "0 to 4095, in the lidar's own unit"),
+        (0.0, 7.3e31, "0 to 7.3e+31: memory that the driver did not set"),
+        (0.0, 2.1e-35, "0 to 2.1e-35: memory that the driver did not set"),
+        (47.0, 47.0, "47 for all returns: not measured"),
+    ],
+)
+def test_intensities_that_a_driver_did_not_set_are_named(
+    wclm: Any, tmp_path: Path, weakest: float, strongest: float, text: str
+) -> None:
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        for message in drivers.open(SHORT):
+            if isinstance(message, Scan):
+                message = replace(message, intensities=np.linspace(weakest, strongest, len(message.ranges)))
+            writer.write(message)
+    assert f"intensity   {text}" in wclm("info", "a.mcap").stdout
 
 
 def test_run_names_the_gaps_that_info_names(wclm: Any, tmp_path: Path) -> None:
