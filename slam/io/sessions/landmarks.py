@@ -17,7 +17,7 @@ from ...geometry.segments import Floats
 from ...mapping.landmark_table import CORNER_DTYPE, WALL_DTYPE
 from ...mapping.landmarks import Landmarks
 from ...mapping.wall_removal import FreeSpaceEvidence
-from .tables import MAX_MAGNITUDE, Ragged, TableReader, are_semidefinite, to_ragged, write_table
+from .tables import MAX_DEVIATION, MAX_MAGNITUDE, Ragged, TableReader, are_semidefinite, to_ragged, write_table
 
 WALL_INTEGERS = ("observations", "first_seen", "last_seen", "merged_into", "removed_at")
 CORNER_INTEGERS = ("observations", "last_seen")
@@ -143,7 +143,7 @@ def _read_corners(file: Path) -> NDArray[np.void]:
 
 def _read_covariances(table: TableReader, file: Path, names: Sequence[str]) -> Floats:
     """Return the symmetric matrices (n, 2, 2) of the columns of their upper triangles. Raises MapError."""
-    covariances = table.floats(*names, limit=MAX_MAGNITUDE)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+    covariances = table.floats(*names, limit=MAX_DEVIATION**2)[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
     if not are_semidefinite(covariances):
         raise MapError(f"{file}: the covariance of a landmark has a negative variance")
     return np.asarray(covariances)

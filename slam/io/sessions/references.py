@@ -42,7 +42,8 @@ def check_landmarks(file: Path, landmarks: Landmarks, keyframes: int) -> None:
     seen = [(walls, "first_seen"), (walls, "last_seen"), (corners, "last_seen")]
     valid = _within(walls["removed_at"], NEVER_REMOVED, keyframes)
     for rows, name in seen:  # -1 if no keyframe observes the landmark any more
-        valid &= _within(rows[name], -1, keyframes) and _within(rows[name][rows["in_graph"]], 0, keyframes)
+        observed = (rows["observations"] != 0) | rows["in_graph"]
+        valid &= _within(rows[name], -1, keyframes) and _within(rows[name][observed], 0, keyframes)
     if not valid:
         raise MapError(f"{file}: a landmark was seen in a keyframe that does not exist")
     if not (_within(walls["merged_into"], UNOBSERVED, len(walls)) and _within(corners["walls"], -1, len(walls))):

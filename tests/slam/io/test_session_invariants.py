@@ -75,6 +75,8 @@ VALUES: list[tuple[str, str, Any, str]] = [
     ("keyframes", "x", 1e6, "a keyframe is farther away than the robot can have driven"),
     ("corners", "in_graph", False, r"the corner \d+ is a variable of the graph, but is not confirmed"),
     ("walls", "in_graph", False, r"the wall \d+ is a variable of the graph, but is not confirmed"),
+    ("walls", "first_seen", -1, "a landmark was seen in a keyframe that does not exist"),
+    ("walls", "heading_heading", 1e12, r"the column heading_heading has values beyond 1e\+08"),
     ("scans", "odometry_x", 1e6, "an odometry pose .* is far from all readings"),
     ("scans", "segment_half_length", 1e-12, "a segment is shorter than 0.002 m"),
     ("scans", "segment_half_length", 1e9, "the column segment_half_length has values beyond 100000"),
