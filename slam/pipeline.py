@@ -305,6 +305,8 @@ class Slam:
         stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
         after = self._results_after
         stamps, poses = stamps[stamps > after], poses[stamps > after]
+        if not len(stamps):
+            raise MapError("no measurement is later than those of the session whose map is used")
         own = stamps > journal.resumed_at
         self._publisher.publish_unseen(journal.scans.stamps[journal.first_row :], stamps[own], poses[own])
         self._publisher.publish_residuals(float(stamps[-1]), state.mapper)

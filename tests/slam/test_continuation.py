@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Scan
+from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
@@ -244,3 +244,16 @@ def test_a_run_in_another_building_is_mapped_alone(mapped: tuple[Path, Finished]
     assert error(finished, elsewhere, finished, elsewhere) < 0.02
     with pytest.raises(MapError, match="never relocalised in the map"):
         run(elsewhere, left, frozen=True)
+
+
+def test_a_drive_from_before_the_last_odometry_of_the_session_is_refused_in_its_frozen_map(
+    first: list[Message], mapped: tuple[Path, Finished]
+) -> None:
+    """It would have no trajectory."""
+    session = read_session(mapped[0])
+    session.odometry[-1].add(Odometry(10.0 * LATER, session.odometry[-1].poses[-1]))
+    slam = Slam(resumed=session, frozen=True, start=np.zeros(3))
+    for message in first[: len(first) // 4]:
+        slam.add(replace(message, stamp=message.stamp + LATER))
+    with pytest.raises(MapError, match="no measurement is later than those of the session whose map is used"):
+        slam.finish()
