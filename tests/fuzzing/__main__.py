@@ -1,7 +1,8 @@
 """Read damaged inputs of all kinds: `python -m tests.fuzzing --help`.
 
 No input may cause an error other than SlamError with a text of one line, take longer than MAX_SECONDS, need more than
-`worker.MAX_MEMORY`, or end the process. Input k of a kind is always the same: `--first k --inputs 1` repeats it.
+`worker.MAX_MEMORY`, read beyond an array, or end the process. Input k of a kind is always the same: `--first k
+--inputs 1` repeats it.
 """
 
 from __future__ import annotations
@@ -23,6 +24,10 @@ MAX_SECONDS = 5.0
 """Processor time of an input, so that a busy computer makes no difference."""
 MAX_WAIT = 300.0
 """Seconds that an input may take in all, and a process before its first one, with the compilation after a change."""
+CHECKED = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(Path(__file__).parents[2] / "build" / "bounds_checked")}
+"""Environment in which compiled functions check the bounds of arrays: else damage may read any memory, mostly without
+an error.
+"""
 
 
 def failures(names: list[str], first: int, end: int, step: int) -> Iterator[tuple[str, int, str]]:
@@ -34,7 +39,8 @@ def failures(names: list[str], first: int, end: int, step: int) -> Iterator[tupl
             progress.write_bytes(bytes(POSITION.size))
             arguments = [",".join(names), *map(str, (begin, first, end, step, progress))]
             with output.open("w") as lines:
-                process = subprocess.Popen([sys.executable, "-m", f"{__package__}.worker", *arguments], stdout=lines)
+                command = [sys.executable, "-m", f"{__package__}.worker", *arguments]
+                process = subprocess.Popen(command, stdout=lines, env=os.environ | CHECKED)
                 problem = watch(process, progress)
             state, kind, number = POSITION.unpack(progress.read_bytes())
             found = [json.loads(line) for line in output.read_text().splitlines()]

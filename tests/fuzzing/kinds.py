@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -13,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin
 from typer.testing import CliRunner
 
 import drivers
-from drivers import Message, Scan
+from drivers import GroundTruth, Message, Scan
 from drivers.recordings.inspection import inspect
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.point_clouds import POINT_CLOUD
@@ -25,7 +26,6 @@ from drivers.transport.byte_capture import read_capture
 from slam import Slam
 from slam.cli.app import app
 from slam.config import load_config
-from slam.estimation.map_view import final_result
 from slam.graph.pose_graph import read_pose_graph
 from slam.io.exports import write_dxf, write_geojson, write_svg
 from slam.io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY
@@ -41,6 +41,8 @@ from ..drivers.conftest import carmen_lines, ros_entries, write_bag1, write_bag2
 from .mutations import Mutation, mutate_bytes, mutate_gzip, mutate_json, mutate_table, mutate_text
 
 SEED, SECONDS = 3, 3.0
+CONTINUED = 2.0
+"""Seconds by which a session is continued: up to the next keyframe."""
 RECORDED, BEAMS = 1.0, 40
 """Seconds and beams of the recordings: small ones are read fast, and more of the damage is in their structure."""
 
@@ -125,12 +127,16 @@ def results(path: Path) -> dict[str, Kind]:
     arguments = ["run", f"sim:room?seed={SEED}&duration={SECONDS}", "--out", str(path), "--no-review"]
     ended = CliRunner().invoke(app, arguments)
     assert ended.exit_code == 0, ended.output
+    end = read_session(path).latest
+    drive = Simulation("room", seed=SEED, duration=SECONDS + CONTINUED, lidar=LidarModel(rate=4.0))
+    following = [m for m in drive if m.stamp > end and not isinstance(m, GroundTruth)]
+    read: Callable[[Path], object] = partial(continue_session, following=following)
     of_suffix: dict[str, Mutation] = {".parquet": mutate_table, ".json": mutate_json}
     found = {
-        f"session/{file.name}": Kind(path, file, of_suffix[file.suffix], continue_session)
+        f"session/{file.name}": Kind(path, file, of_suffix[file.suffix], read)
         for file in sorted((path / SESSION).iterdir())
     }
-    found[f"session/{CONFIG}"] = Kind(path, path / CONFIG, mutate_text, continue_session)
+    found[f"session/{CONFIG}"] = Kind(path, path / CONFIG, mutate_text, read)
     for name in (MAP, SUMMARY, TRAJECTORY, KEYFRAMES):
         mutate = of_suffix.get(Path(name).suffix, mutate_text)
         found[f"results/{name}"] = Kind(path, path / name, mutate, write_report)
@@ -192,13 +198,14 @@ def read_recording(path: Path) -> None:
     inspect(drivers.open(path))
 
 
-def continue_session(path: Path) -> None:
-    """Read a session, and do with it what the beginning and the end of a continued run and of a localisation do."""
+def continue_session(path: Path, following: Sequence[Message]) -> None:
+    """Read a session, and do what a run that continues it by some scans does, with a copy of its state before."""
     session = read_session(path)
-    history = session.scan_history()
-    Slam(session.config, resumed=session).snapshot().finished()
-    trajectory = session.slam_state.trajectory.at_scans(session.slam_state.mapper.keyframe_poses)
-    final_result(session.slam_state, trajectory, history.sweep_covariances, {})
+    slam = Slam(session.config, resumed=session)
+    slam.snapshot().finished()
+    for message in following:
+        slam.add(message)
+    slam.finish()
 
 
 def write_report(path: Path) -> None:

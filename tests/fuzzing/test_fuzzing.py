@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from drivers.errors import SlamError
 
 from .kinds import Kind, make_kinds
 from .worker import failure_of
@@ -32,9 +35,19 @@ def fail(path: Path) -> None:
     raise KeyError("a bug")
 
 
-def test_other_errors_are_failures(tmp_path: Path) -> None:
+def read_beyond_an_array(path: Path) -> None:
+    try:
+        raise IndexError("index is out of bounds")  # as numba does
+    except IndexError as error:
+        raise SlamError(f"{path}: cannot be read") from error
+
+
+@pytest.mark.parametrize(
+    ("read", "failure"), [(fail, "KeyError: 'a bug'"), (read_beyond_an_array, "a compiled function reads beyond")]
+)
+def test_other_errors_are_failures(tmp_path: Path, read: Callable[[Path], None], failure: str) -> None:
     file = tmp_path / "a"
     file.write_bytes(b"intact")
-    kind = Kind(file, file, lambda data, _: data + b"!", fail)
-    assert "KeyError: 'a bug'" in failure_of(kind, b"intact", 0)
+    kind = Kind(file, file, lambda data, _: data + b"!", read)
+    assert failure in failure_of(kind, b"intact", 0)
     assert file.read_bytes() == b"intact"

@@ -15,6 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from drivers.errors import SlamError
+from slam.warmup import warm_up
 
 from .kinds import Kind, make_kinds
 
@@ -25,6 +26,8 @@ ADDRESS_SPACE = 4_000_000_000
 POSITION = struct.Struct("<BIQ")
 """State of the process, number of the kind, and number of the input."""
 STARTING, READING, DONE = range(3)
+OUT_OF_BOUNDS = "index is out of bounds"
+"""Text of the error of a compiled function that checks the bounds of arrays."""
 
 
 def failure_of(kind: Kind, intact: bytes, number: int) -> str:
@@ -36,6 +39,8 @@ def failure_of(kind: Kind, intact: bytes, number: int) -> str:
         message = str(error)
         if not message.strip() or len(message.splitlines()) != 1 or len(message) > 2000:
             return f"the message is not one line: {message[:500]!r}"
+        if str(error.__cause__) == OUT_OF_BOUNDS:
+            return f"a compiled function reads beyond an array, then: {message}"
     except Exception:
         return traceback.format_exc()
     finally:
@@ -57,6 +62,7 @@ def main(names: list[str], begin: int, first: int, end: int, step: int, progress
     Writes the number of the kind and that of the input into the file `progress` before, and at the end.
     """
     warnings.simplefilter("ignore")
+    warm_up()
     with tempfile.TemporaryDirectory() as folder, progress.open("r+b") as file:
         current = mmap.mmap(file.fileno(), POSITION.size)
         kinds = make_kinds(Path(folder))
