@@ -41,6 +41,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from .. import se2
 from ..errors import RecordingError
 from ..messages import Floats
+from ..validation import first_problem
 
 Metres = Annotated[float, Field(allow_inf_nan=False, ge=-1e4, le=1e4)]
 Length = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=1e4)]
@@ -153,8 +154,7 @@ def load_world_file(name: str | Path) -> WorldFile:
     try:
         content = WorldFile.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
     except ValidationError as error:
-        first = error.errors()[0]
-        raise RecordingError(path, None, f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+        raise RecordingError(path, None, first_problem(error)) from error
     except (OSError, ValueError, RecursionError) as error:
         raise RecordingError(path, None, f"is not a valid world file: {error}") from error
     if not (content.walls or content.boxes or content.columns):

@@ -26,6 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from drivers.validation import first_problem
+
 from ..errors import MapError
 from ..mapping.map_features import MapCorners, MapWalls
 from .json_files import read_json
@@ -123,7 +125,7 @@ def write_map(path: Path, walls: MapWalls, corners: MapCorners) -> None:
             ],
         )
     except ValidationError as error:
-        raise MapError(f"{path}: the map cannot be written: {_first_error(error)}") from error
+        raise MapError(f"{path}: the map cannot be written: {first_problem(error)}") from error
     path.write_text(_to_json(document), encoding="utf-8", newline="\n")
 
 
@@ -139,7 +141,7 @@ def read_map(path: Path) -> MapFile:
     try:
         document = _Map.model_validate(data)
     except ValidationError as error:
-        raise MapError(f"{path}: {_first_error(error)}") from error
+        raise MapError(f"{path}: {first_problem(error)}") from error
     return MapFile(_lines(document.lines), _corners(document.corners))
 
 
@@ -183,11 +185,6 @@ def _matrix(covariance: NDArray[np.float64]) -> Any:
     if not np.isfinite(covariance).all():
         return None
     return [[float(f"{value:.9g}") for value in row] for row in covariance.tolist()]
-
-
-def _first_error(error: ValidationError) -> str:
-    detail = error.errors()[0]
-    return f"{'.'.join(str(part) for part in detail['loc'])}: {detail['msg'].lower()}"
 
 
 def _to_json(document: _Map) -> str:

@@ -13,6 +13,8 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from drivers.validation import first_problem
+
 from ..errors import MapError
 from .sessions.corrections import Pin, PinSet
 
@@ -78,8 +80,7 @@ def _pin(place: str, row: dict[str | None, str | None]) -> Pin:
     try:
         pin = Pin.model_validate({"kind": text["kind"], **numbers})
     except ValidationError as error:
-        first = error.errors()[0]
-        raise MapError(f"{place}: {first['loc'][0]}: {first['msg'].lower()}") from error
+        raise MapError(f"{place}: {first_problem(error)}") from error
     if min(pin.xx, pin.yy) < MIN_SIGMA**2 or pin.xx * pin.yy - pin.xy * pin.xy < MIN_SIGMA**4:
         raise MapError(f"{place}: is no covariance, or below {1e3 * MIN_SIGMA:g} mm")
     return pin

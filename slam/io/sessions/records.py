@@ -8,7 +8,9 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
-from ...errors import MapError, first_line
+from drivers.validation import first_problem
+
+from ...errors import MapError
 from ...geometry.segments import Floats
 from .tables import MAX_DEVIATION, MAX_LENGTH, MAX_MAGNITUDE, are_covariances, are_semidefinite
 
@@ -53,10 +55,7 @@ def validated(kind: type[Kind], data: Any, file: Path) -> Kind:
     try:
         return kind.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        problem = first["msg"].removeprefix("Value error, ")  # which says nothing
-        raise MapError(f"{file}: {key}: {first_line(ValueError(problem))}") from error
+        raise MapError(f"{file}: {first_problem(error)}") from error
 
 
 def to_pose(pose: Floats) -> Pose:

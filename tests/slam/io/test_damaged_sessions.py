@@ -67,7 +67,7 @@ def test_session_of_another_version_is_refused(intact: Path, tmp_path: Path, ver
         (["checkpoint", "tracker", "slips"], 10**6, "checkpoint.tracker: more slips than scans"),
         (["checkpoint", "tracker", "after_slips"], 10**6, "checkpoint.tracker: the numbers of scans"),
         (["checkpoint", "tracker", "repeated_slips"], 10**6, "checkpoint.tracker: the numbers of scans"),
-        (["checkpoint", "tracker", "last_score"], None, "checkpoint.tracker.last_score: Input should be a"),
+        (["checkpoint", "tracker", "last_score"], None, "checkpoint.tracker.last_score: input should be a"),
         (["segment_starts"], [-1], "segment_starts: these are"),
         (["agreement", "hypotheses"], [HYPOTHESIS | {"support": [MATCH | {"old": 10**6}]}], "agreement: there are"),
         (
@@ -76,7 +76,7 @@ def test_session_of_another_version_is_refused(intact: Path, tmp_path: Path, ver
             "agreement.hypotheses.0.support",
         ),
         (["agreement", "hypotheses"], [HYPOTHESIS | {"support": []}], "agreement.hypotheses.0.support"),
-        (["sigma"], 1, "sigma: Extra inputs are not permitted"),
+        (["sigma"], 1, "sigma: extra inputs are not permitted"),
     ],
 )
 def test_header_with_an_invalid_value_is_refused(
@@ -193,7 +193,7 @@ def test_a_noise_of_bearings_of_more_than_half_a_turn_is_refused(intact: Path, t
     data = json.loads(header.read_text())
     data["sensor_models"]["sigma_bearing"] = 2**31
     header.write_text(json.dumps(data))
-    with pytest.raises(MapError, match=r"sensor_models.sigma_bearing: Input should be less than or equal to 3.14"):
+    with pytest.raises(MapError, match=r"sensor_models.sigma_bearing: input should be less than or equal to 3.14"):
         read_session(tmp_path / "out")
 
 
@@ -204,7 +204,7 @@ def test_a_range_without_noise_is_refused(intact: Path, tmp_path: Path, value: f
     data = json.loads(header.read_text())
     data["sensor_models"]["sigma_range"] = value
     header.write_text(json.dumps(data))
-    with pytest.raises(MapError, match=r"sensor_models.sigma_range: Input should be greater than 0"):
+    with pytest.raises(MapError, match=r"sensor_models.sigma_range: input should be greater than 0"):
         read_session(path)
 
 
