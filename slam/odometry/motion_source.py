@@ -10,6 +10,7 @@ from drivers.messages import Odometry, Scan, YawRate
 from ..config import OdometryConfig
 from ..geometry.segments import Floats
 from .constant_velocity import ConstantVelocity
+from .continuity import ContinuousOdometry
 from .gyroscope import Gyroscope, GyroscopeOdometry
 
 
@@ -23,6 +24,7 @@ class MotionSource:
         self.predicted = config.source == "none"
         self._use_gyroscope = config.gyroscope
         self._gyroscope = Gyroscope()
+        self._readings = ContinuousOdometry()
         self._wheels = GyroscopeOdometry(self._gyroscope)
         self._prediction = ConstantVelocity(self._gyroscope)
 
@@ -41,7 +43,7 @@ class MotionSource:
                 yield from self._prediction.readings(message)
             yield message
         elif not self.predicted:
-            yield self._wheels.combined(message)
+            yield self._wheels.combined(self._readings.continued(message))
 
     def correct(self, stamp: float, motion: se2.Pose | None, covariance: Floats, turned: float = 0.0) -> None:
         """Learn from the motion of the base between the last two scans, the later of them at `stamp` seconds.

@@ -7,7 +7,7 @@ from pydantic import AliasChoices, AliasPath, Field, model_validator
 
 from ...loop_closure.decision import LoopMatch
 from ...loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
-from .records import Finite, InvertibleCovariance, Length, Pose, Record, to_matrix, to_pose
+from .records import Finite, InvertibleCovariance, Pose, Record, to_matrix, to_pose
 
 
 class _Match(Record):
@@ -15,7 +15,7 @@ class _Match(Record):
     old: int
     relative: Pose
     covariance: InvertibleCovariance
-    travelled: Length
+    travelled: Finite
     fit: Finite
     known: Finite
 
@@ -23,7 +23,7 @@ class _Match(Record):
 class _Hypothesis(Record):
     motion: Pose
     support: list[_Match] = Field(min_length=1)
-    contradictions: list[Length]
+    contradictions: list[Finite]
     admitted: bool = True  # earlier versions have not written it
 
 
@@ -42,12 +42,12 @@ class _Place(Record):
 class AgreementRecord(Record):
     """State of the search for agreement."""
 
-    last_search: Length
+    last_search: Finite
     places: list[_Place]
-    searched: list[tuple[int, Length]]
-    returns: list[Length]
+    searched: list[tuple[int, Finite]]
+    returns: list[Finite]
     # In earlier versions the estimate was a hypothesis.
-    contradictions: list[Length] = Field(
+    contradictions: list[Finite] = Field(
         validation_alias=AliasChoices("contradictions", AliasPath("estimate", "contradictions"))
     )
     hypotheses: list[_Hypothesis]

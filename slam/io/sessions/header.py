@@ -27,10 +27,10 @@ from .sensor_models import SensorModelsRecord
 
 FORMAT = "wclm-slam session"
 SESSION_VERSION = 9
-MAX_SPEED = 1e3
+MAX_SPEED = 1e4
 """Largest velocity of a robot, metres or radians per second: far more than any has."""
-MAX_BIAS = 1.0
-"""Largest range bias, metres, as in the settings."""
+MAX_BIAS = 1e3
+"""Largest range bias, metres: far more than any lidar has."""
 
 
 class Recording(Record):
@@ -70,7 +70,6 @@ class AnchorRecord(Record):
     odometry: Pose
 
 
-_Seconds = Annotated[Finite, Field(ge=0.0)]
 _Speed = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_SPEED, le=MAX_SPEED)]
 _Variance = Annotated[Finite, Field(ge=0.0)]
 _PositiveVariance = Annotated[Finite, Field(gt=0.0)]
@@ -79,9 +78,9 @@ _PositiveVariance = Annotated[Finite, Field(gt=0.0)]
 class _Tracker(Record):
     fix: _PoseFix
     reference: _PoseFix
-    since_fix: _Seconds | None
+    since_fix: Finite | None
     scan_stamp: Finite | None
-    intervals: list[_Seconds]
+    intervals: list[Finite]  # negative where a part of the map has begun with scans that were tracked before
     velocity: tuple[_Speed, _Speed, _Speed]
     velocity_variances: tuple[_Variance, _Variance, _Variance]
     prediction_variances: tuple[_PositiveVariance, _PositiveVariance, _PositiveVariance]

@@ -55,7 +55,7 @@ def read_keyframes(file: Path, scans: ScanRecords) -> KeyframeRecords:
     covariances[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper
     if not are_semidefinite(covariances):
         raise MapError(f"{file}: the covariance of a pose has a negative variance")
-    travelled = table.floats("travelled").tolist()
+    travelled = table.floats("travelled", limit=MAX_MAGNITUDE).tolist()
     if (np.diff(travelled, prepend=0.0) < 0.0).any():
         raise MapError(f"{file}: the travelled distance decreases")
     poses = table.floats(*POSE_COLUMNS)

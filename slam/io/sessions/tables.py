@@ -29,11 +29,11 @@ VALUE_SIZE = 8
 """Bytes of a value in memory."""
 MAX_RATIO = 200
 """Ratio of the sizes of a table in memory and as a file. Tables of long sessions have 3 to 20."""
-MAX_LENGTH = 2e7
-"""Largest absolute value of a length, metres, or angle, radians: half the circumference of the Earth."""
+MAX_LENGTH = 1e10
+"""Largest absolute value of a length, metres, or angle, radians: odometry of recordings has up to 1e9."""
 MAX_MAGNITUDE = 1e15
 """Largest absolute value of any other number, such as stamps, covariances and informations. Its square is finite."""
-MIN_DEVIATION, MAX_DEVIATION = 1e-9, 1e4
+MIN_DEVIATION, MAX_DEVIATION = 1e-9, 1e5
 """Smallest and largest standard deviation of a measurement, metres or radians: none is as precise, and beside one that
 is less precise the others would be lost in rounding.
 """

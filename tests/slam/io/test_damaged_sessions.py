@@ -154,7 +154,7 @@ CHANGES: list[tuple[str, str, Any, str]] = [
     (SCANS, "segment_offset_offset", 1e-300, "the covariance of a segment is not positive definite"),
     (SCANS, "sweep_covariance", -1.0, "a sweep covariance has a negative variance"),
     (SCANS, "point_sigma", -1.0, "a standard deviation of points is negative"),
-    (WALLS, "x", 1e300, "the column x has values beyond 2e\\+07"),
+    (WALLS, "x", 1e300, "the column x has values beyond 1e\\+10"),
     (WALLS, "high", 1e15, "a wall has an end that is not within 100000 m"),
     (WALLS, "low", float("-inf"), "a wall has an end that is not within 100000 m"),
     (WALLS, "low", float("nan"), "a wall has an end that is not within 100000 m"),

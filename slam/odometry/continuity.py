@@ -1,0 +1,41 @@
+"""Odometry without jumps that no robot can make.
+
+A base that starts again counts from another pose, and a damaged reading may be anywhere. Slips are for tracking, which
+compares odometry with the scans. But a map has no room for a motion of kilometres, and its uncertainty no numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry
+
+# Metres, and metres per second, from which a motion between two readings is a jump. Origin: chosen, more than any
+# wheeled robot drives, and less than what a map cannot represent.
+MIN_JUMP, MIN_JUMP_SPEED = 100.0, 100.0
+
+
+class ContinuousOdometry:
+    """Readings that go on from the one before a jump: the motion in it is not known, and taken as none."""
+
+    def __init__(self) -> None:
+        self._last: Odometry | None = None
+        self._offset: se2.Pose | None = None  # of the readings' frame before all jumps; None before the first
+
+    def continued(self, reading: Odometry) -> Odometry:
+        """Return the next reading with its pose in the frame of the first one."""
+        pose = reading.pose if self._offset is None else se2.compose(self._offset, reading.pose)
+        last = self._last
+        if last is not None and _is_jump(last, pose, reading.stamp):
+            self._offset, pose = se2.compose(last.pose, se2.inverse(reading.pose)), last.pose
+        self._last = reading if pose is reading.pose else replace(reading, pose=pose)
+        return self._last
+
+
+def _is_jump(last: Odometry, pose: se2.Pose, stamp: float) -> bool:
+    """Return True if no robot can have moved from a reading to `pose` (3,) at `stamp` seconds."""
+    distance = float(np.hypot(*(pose - last.pose)[:2]))
+    return distance > MIN_JUMP and distance > MIN_JUMP_SPEED * (stamp - last.stamp)

@@ -1,0 +1,63 @@
+"""Odometry that jumps farther than any robot can move goes on from where it was, and does not spoil the map."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from drivers.messages import Message, Odometry
+from drivers.simulation import LidarModel, Simulation
+from slam import Slam
+from slam.config import Config, config_to_toml
+from slam.io.output_dir import CONFIG
+from slam.io.sessions import read_session, write_session
+from slam.odometry.continuity import MIN_JUMP, ContinuousOdometry
+
+FAR = np.array([2.0 * MIN_JUMP, -1e8, 1.0])
+
+
+def readings(poses: Sequence[Sequence[float]]) -> list[Odometry]:
+    """Return readings every tenth of a second."""
+    return [Odometry(0.1 * k, np.array(pose)) for k, pose in enumerate(poses)]
+
+
+def test_readings_without_a_jump_are_left_as_they_are() -> None:
+    source = ContinuousOdometry()
+    for reading in readings([[0, 0, 0], [9, 0, 0], [9, 9, 3], [0, 0, -3]]):
+        assert source.continued(reading) is reading
+    later = Odometry(100.0, np.array([500.0, 0.0, 0.0]))  # driven in a gap
+    assert source.continued(later) is later
+
+
+def test_motions_after_a_jump_are_those_of_the_readings() -> None:
+    source = ContinuousOdometry()
+    driven = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.2], [0.2, 0.1, 0.4], [0.3, 0.2, 0.5]])
+    read = [*driven[:2], *se2.compose(FAR, driven[2:])]
+    poses = [source.continued(reading).pose for reading in readings(read)]
+    np.testing.assert_array_equal(poses[2], poses[1])
+    np.testing.assert_allclose(se2.between(poses[2], poses[3]), se2.between(driven[2], driven[3]), atol=1e-6)
+
+
+@pytest.mark.parametrize("jumps", [lambda k: k == 50, lambda k: k >= 50, lambda k: k % 20 == 0])
+def test_a_map_is_that_of_a_drive_without_jumps(tmp_path: Path, jumps: Callable[[int], bool]) -> None:
+    def mapped(messages: Sequence[Message]) -> Slam:
+        slam = Slam()
+        for message in messages:
+            slam.add(message)
+        slam.finish()
+        return slam
+
+    drive = list(Simulation("room", seed=3, duration=5.0, lidar=LidarModel(beams=180, rate=5.0)))
+    count, spoiled = 0, list[Message]()
+    for message in drive:
+        count += isinstance(message, Odometry)
+        far = isinstance(message, Odometry) and jumps(count)
+        spoiled.append(replace(message, pose=se2.compose(FAR, message.pose)) if far else message)
+    slam = mapped(spoiled)
+    np.testing.assert_allclose(slam.pose, mapped(drive).pose, atol=0.01)
+    (tmp_path / CONFIG).write_text(config_to_toml(Config()))
+    write_session(tmp_path, slam.session)
+    assert read_session(tmp_path).slam_state.mapper.keyframe_count > 1
