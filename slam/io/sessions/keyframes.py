@@ -61,6 +61,8 @@ def read_keyframes(file: Path, scans: ScanRecords) -> KeyframeRecords:
     poses = table.floats(*POSE_COLUMNS)
     if len(poses) and not are_reachable(poses[:, :2], poses[0, :2], travelled):
         raise MapError(f"{file}: a keyframe is farther away than the robot can have driven")
+    if not are_reachable(scans.trajectory.relative_poses()[2][:, :2], np.zeros(2), travelled or [0.0]):
+        raise MapError(f"{file}: a scan is farther from its keyframe than the robot can have driven")
     correlated_drift = np.zeros((len(table), 2, 2))
     for name, (row, column) in CORRELATED_DRIFT.items():
         correlated_drift[:, row, column] = correlated_drift[:, column, row] = table.floats(name)

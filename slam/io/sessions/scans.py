@@ -22,7 +22,16 @@ from ...matching.line_matcher import ScanFeatures
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
 from .scan_features import are_rounded_from, feature_columns, read_features, split_rows
-from .tables import MAX_MAGNITUDE, Column, Ragged, TableReader, to_ragged, write_row_groups, write_table
+from .tables import (
+    MAX_MAGNITUDE,
+    Column,
+    Ragged,
+    TableReader,
+    are_semidefinite,
+    to_ragged,
+    write_row_groups,
+    write_table,
+)
 
 EXACT_KEYFRAMES = MAX_RECENT_SEGMENTS
 """Last keyframes whose features are stored exactly: all that are used online."""
@@ -161,8 +170,10 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
     features = read_features(table, file, exact=False)
     keyframe, anchor = table.integers("keyframe"), table.integers("anchor")
     rows = np.flatnonzero(keyframe >= 0)
-    if not np.array_equal(keyframe[rows], np.arange(len(rows))) or (anchor >= len(rows)).any():
+    if not np.array_equal(keyframe[rows], np.arange(len(rows))):
         raise MapError(f"{file}: the keyframes are not in order")
+    if (anchor > np.maximum.accumulate(keyframe)).any():
+        raise MapError(f"{file}: the pose of a scan is relative to a later keyframe")
     _read_recent_keyframes(recent_keyframes, features, rows[-EXACT_KEYFRAMES:])
     has_features = table.booleans("has_features")
     travel = table.floats("sweep_travel").tolist()
@@ -175,7 +186,7 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
     for row, ids in zip(rows.tolist(), landmark_ids, strict=True):
         if len(ids.walls) != len(features[row].segments) or len(ids.corners) != len(features[row].corners):
             raise MapError(f"{file}: a keyframe does not have a landmark id for each feature")
-    return ScanRecords(scans, _read_trajectory(table, stamps, anchor), stamps[rows].tolist(), landmark_ids)
+    return ScanRecords(scans, _read_trajectory(table, file, stamps, anchor), stamps[rows].tolist(), landmark_ids)
 
 
 def _read_recent_keyframes(file: Path, features: list[ScanFeatures], rows: Integers) -> None:
@@ -189,12 +200,14 @@ def _read_recent_keyframes(file: Path, features: list[ScanFeatures], rows: Integ
         features[row] = one
 
 
-def _read_trajectory(table: TableReader, stamps: Floats, anchor: Integers) -> TrajectoryBuilder:
-    """Read the poses of the scans with an anchor, relative to it."""
+def _read_trajectory(table: TableReader, file: Path, stamps: Floats, anchor: Integers) -> TrajectoryBuilder:
+    """Read the poses of the scans with an anchor, relative to it. Raises MapError naming the file."""
     relative = table.floats("relative_x", "relative_y", "relative_heading")
     upper = table.floats(*(f"information_{name}" for name in POSE_ENTRIES), limit=MAX_MAGNITUDE)
     informations = np.zeros((len(table), 3, 3))
     informations[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = upper
     informations[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper
+    if not are_semidefinite(informations):
+        raise MapError(f"{file}: the information of a pose is negative")
     rows = anchor >= 0
     return TrajectoryBuilder.from_arrays(stamps[rows], anchor[rows], relative[rows], informations[rows])
