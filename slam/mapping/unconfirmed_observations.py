@@ -9,7 +9,8 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import CornerPoints, Floats, Segments, corner_bias_slopes
+from ..geometry.range_bias import corner_bias_slopes
+from ..geometry.segments import CornerPoints, Floats, Segments
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, FactorKind
 from .keyframes import LandmarkIds

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ..geometry.segments import without_range_bias
+from ..geometry.range_bias import without_range_bias
 from .line_matcher import ScanFeatures
 
 

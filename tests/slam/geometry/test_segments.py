@@ -6,7 +6,8 @@ import pytest
 from drivers import se2
 from features.types import Corners, Lines
 from slam.geometry.line_segments import corner_points, segments_from_lines
-from slam.geometry.segments import CornerPoints, Segments, without_range_bias
+from slam.geometry.range_bias import without_range_bias
+from slam.geometry.segments import CornerPoints, Segments
 
 
 def lines_of(frames: np.ndarray, half_length: np.ndarray, covariance: np.ndarray) -> Lines:
