@@ -8,7 +8,6 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..localisation.match_target import MatchTarget
-from ..matching.bias_correction import correct_range_bias
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
@@ -31,7 +30,7 @@ def place(state: SlamState, pose: se2.Pose, scan: ProcessedScan) -> bool:
     state.update_local_field()
     state.move_to(pose, scan.odometry)
     target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variance)
-    features = correct_range_bias(scan.features, state.mapper.graph.range_bias.metres)
+    features = scan.features.without_range_bias(state.mapper.graph.range_bias.metres)
     match = target.match(features, [Prediction(pose, np.linalg.inv(covariance))], exhaustive=True)
     if match.known < MIN_KNOWN_POINTS or not match.plausible:
         return False

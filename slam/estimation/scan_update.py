@@ -22,7 +22,6 @@ from ..mapping.data_association import associate
 from ..mapping.keyframes import KeyframeObservations, WallMerge
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
-from ..matching.bias_correction import correct_range_bias
 from ..odometry.history import wheel_travel
 from ..odometry.systematic_errors import MIN_MOTION_TRAVEL
 from ..preprocessing.preprocessor import ProcessedScan
@@ -68,7 +67,7 @@ def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingR
     target = MatchTarget(
         state.local_map, state.local_field.field, state.mapper.roughness.variance, recent if has_mapped_here else None
     )
-    features = correct_range_bias(scan.features, state.mapper.graph.range_bias.metres)
+    features = scan.features.without_range_bias(state.mapper.graph.range_bias.metres)
     tracking = state.tracker.track(scan.stamp, scan.odometry, features, target)
     timer.lap("registration")
     if tracking.contradicts_old_map:
@@ -201,7 +200,7 @@ def extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) 
 def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
     """Associate the scan's features, solve the graph, read the map back, and search for a loop."""
     mapper, features = state.mapper, scan.features
-    corrected = correct_range_bias(features, mapper.graph.range_bias.metres)
+    corrected = features.without_range_bias(mapper.graph.range_bias.metres)
     association = associate(
         state.pose,
         tracking.registered_covariance,

@@ -7,7 +7,7 @@ point is used once: those on segments that are paired with walls count by these,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import axes_of
 from ..geometry.pose_steps import difference, move_back, wrap_heading
+from ..geometry.range_bias import without_range_bias
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..geometry.small_matrices import product, solution
 from ..mapping.local_map import LocalMap
@@ -76,6 +77,16 @@ class ScanFeatures:
     def surface_points(self) -> Floats:
         """Return the points (q, 5) that are matched, with normals, see `scan_points.surface_points`."""
         return surface_points(self.points.xy, self.segments, POINT_SPACING, self.points.sigma)
+
+    def without_range_bias(self, bias: float) -> ScanFeatures:
+        """Return the features as if all ranges were shorter by `bias` metres; the points stay as they are.
+
+        Points are matched to points of earlier scans, which have the same bias.
+        """
+        if not bias:
+            return self
+        segments, corners = without_range_bias(self.segments, self.corners, bias)
+        return replace(self, segments=segments, corners=corners)
 
 
 def register(

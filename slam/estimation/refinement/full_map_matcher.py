@@ -21,7 +21,6 @@ from ...localisation.moving_objects import match_without_moving
 from ...localisation.slip_statistics import SlipStatistics
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
-from ...matching.bias_correction import correct_range_bias
 from ...matching.distance_field import DistanceField
 from ...matching.line_matcher import Registration, ScanFeatures
 from ...matching.point_matcher import KERNEL, PointMatch, Prediction
@@ -111,7 +110,7 @@ class FullMapMatcher:
 
     def features(self, row: int) -> ScanFeatures:
         """Return the features of a scan without the range bias."""
-        return correct_range_bias(self._history.scans[row].features, self._range_bias)
+        return self._history.scans[row].features.without_range_bias(self._range_bias)
 
     def match(self, row: int, poses: Floats, local_map: LocalMap) -> FullMapMatch:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
