@@ -39,8 +39,8 @@ from .mapping.local_map import empty_local_map
 from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
 from .matching.distance_field import DistanceField
-from .matching.line_matcher import ScanFeatures
 from .matching.point_matcher import Prediction, match_points
+from .matching.scan_features import ScanFeatures
 from .matching.scan_points import ScanPoints
 from .odometry.error_model import OdometryModel
 from .pipeline import Slam

@@ -13,7 +13,7 @@ from drivers import se2
 
 from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.trajectory_builder import TrajectoryBuilder
-from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_features import ScanFeatures
 from ..odometry.history import OdometryHistory, wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from ..preprocessing.scan_sequence import ScanSequence

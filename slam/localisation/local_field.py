@@ -15,7 +15,7 @@ from drivers.compiled import compiled
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
-from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_features import ScanFeatures
 from .field_successor import FieldSuccessor, FieldSuccessorState
 
 # Metres from the middle of the field at which its successor is begun. Origin: chosen, a small part of its half width;

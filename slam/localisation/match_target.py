@@ -16,7 +16,7 @@ from drivers import se2
 from ..geometry.segments import Floats
 from ..mapping.local_map import LocalMap
 from ..matching.distance_field import DistanceField
-from ..matching.line_matcher import Registration, ScanFeatures, register
+from ..matching.line_matcher import Registration, register
 from ..matching.point_matcher import (
     KERNEL,
     MIN_FIT,
@@ -27,6 +27,7 @@ from ..matching.point_matcher import (
     match_points,
     point_cost,
 )
+from ..matching.scan_features import ScanFeatures
 
 
 @dataclass(frozen=True, slots=True, eq=False)

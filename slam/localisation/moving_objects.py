@@ -21,9 +21,9 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
-from ..matching.line_matcher import ScanFeatures
 from ..matching.point_costs import COARSE_SIGMA, costs_of_points
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
+from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints, segments_of
 from .match_target import MatchTarget, ScanMatch, points_of
 

@@ -21,8 +21,8 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.small_matrices import inverse
-from ..matching.line_matcher import ScanFeatures
 from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction
+from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from .match_target import MatchTarget, ScanMatch
 from .moving_objects import match_without_moving

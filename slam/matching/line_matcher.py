@@ -7,7 +7,7 @@ point is used once: those on segments that are paired with walls count by these,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,16 +16,15 @@ from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import axes_of
 from ..geometry.pose_steps import difference, move_back, wrap_heading
-from ..geometry.range_bias import without_range_bias
-from ..geometry.segments import CornerPoints, Floats, Segments
+from ..geometry.segments import Floats
 from ..geometry.small_matrices import product, solution
 from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE
-from .point_matcher import POINT_SPACING
-from .scan_points import FINE_SIGMA, ScanPoints, segments_of, surface_points
+from .scan_features import ScanFeatures
+from .scan_points import FINE_SIGMA, segments_of
 
 # Metres across a wall between it and a segment, for each Gauss-Newton step; also between two
 # corners. Origin: tuned on Intel, fr079, CSAIL.
@@ -59,34 +58,6 @@ class Registration:
     def total_information(self) -> Floats:
         """Information (3, 3) of the pose from landmarks and points, without the prediction's, in the base's frame."""
         return self.information + self.point_information
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanFeatures:
-    """Features of one scan, in the base's frame.
-
-    sweep_covariance  (3, 3) of the scan's pose relative to that of the base, by errors of odometry during the sweep:
-                      metres and radians, see `slam.preprocessing.motion_uncertainty`
-    """
-
-    segments: Segments
-    corners: CornerPoints
-    points: ScanPoints
-    sweep_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
-
-    def surface_points(self) -> Floats:
-        """Return the points (q, 5) that are matched, with normals, see `scan_points.surface_points`."""
-        return surface_points(self.points.xy, self.segments, POINT_SPACING, self.points.sigma)
-
-    def without_range_bias(self, bias: float) -> ScanFeatures:
-        """Return the features as if all ranges were shorter by `bias` metres; the points stay as they are.
-
-        Points are matched to points of earlier scans, which have the same bias.
-        """
-        if not bias:
-            return self
-        segments, corners = without_range_bias(self.segments, self.corners, bias)
-        return replace(self, segments=segments, corners=corners)
 
 
 def register(

@@ -13,7 +13,7 @@ from features import Features, LearnedNoise
 from ..config import FeatureConfig, LidarConfig
 from ..geometry.line_segments import corner_points, segments_from_lines
 from ..geometry.segments import CornerPoints, Segments
-from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, subsample
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.segments import CornerPoints, Floats, Segments
-from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_features import ScanFeatures
 
 # Numbers of a segment (frame, half length, covariance, bias slope), of a corner (position, covariance, segments,
 # headings), and of a sweep covariance. Origin: definition.

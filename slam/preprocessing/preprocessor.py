@@ -13,7 +13,7 @@ from features import LearnedNoise
 
 from ..config import Config
 from ..geometry.segments import CornerPoints, Segments
-from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import EVEN_SECONDS, OdometryHistory

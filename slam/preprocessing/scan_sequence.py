@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
-from ..matching.line_matcher import ScanFeatures
+from ..matching.scan_features import ScanFeatures
 from .packed_features import PackedFeatures
 from .preprocessor import NO_FEATURES, ProcessedScan
 

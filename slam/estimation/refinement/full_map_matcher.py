@@ -22,8 +22,9 @@ from ...localisation.slip_statistics import SlipStatistics
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.distance_field import DistanceField
-from ...matching.line_matcher import Registration, ScanFeatures
+from ...matching.line_matcher import Registration
 from ...matching.point_matcher import KERNEL, PointMatch, Prediction
+from ...matching.scan_features import ScanFeatures
 from ...odometry.error_model import OdometryModel
 from ...odometry.velocity import ScanClock
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory

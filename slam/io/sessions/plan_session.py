@@ -20,7 +20,7 @@ from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.plan_map import VIEWS_END, PlanMap, PlanView
 from ...mapping.plan_mapper import plan_mapper
 from ...mapping.trajectory_builder import TrajectoryBuilder
-from ...matching.line_matcher import ScanFeatures
+from ...matching.scan_features import ScanFeatures
 from ...matching.scan_points import ScanPoints
 from ...odometry.history import OdometryHistory
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
-from ...matching.line_matcher import ScanFeatures
+from ...matching.scan_features import ScanFeatures
 from ...matching.scan_points import MAX_POINT_UNITS, POINT_UNIT, ScanPoints
 from .tables import Ragged, TableReader, are_covariances, to_ragged
 

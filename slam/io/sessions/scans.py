@@ -18,7 +18,7 @@ from ...geometry.segments import Floats, Integers
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.mapped_keyframes import MAX_RECENT_SEGMENTS
 from ...mapping.trajectory_builder import TrajectoryBuilder
-from ...matching.line_matcher import ScanFeatures
+from ...matching.scan_features import ScanFeatures
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
 from .scan_features import are_rounded_from, feature_columns, read_features, split_rows

@@ -14,8 +14,8 @@ from slam.estimation.earlier_part import DECIDING_MARGIN, EarlierPart
 from slam.estimation.slam_state import SlamState
 from slam.geometry.segments import CornerPoints, Segments
 from slam.localisation.tracking import TrackingResult, TrackingStatus
-from slam.matching.line_matcher import ScanFeatures
 from slam.matching.point_matcher import MIN_KNOWN_POINTS
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.preprocessing.preprocessor import ProcessedScan
 

@@ -14,7 +14,7 @@ from slam.estimation.keyframe_links import link_revisited
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField, LocalFieldState
 from slam.mapping.keyframes import RelativeScanMatch
-from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
 NOTHING = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))

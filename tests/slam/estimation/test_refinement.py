@@ -30,8 +30,8 @@ from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
 from slam.mapping.mapper import Mapper
 from slam.matching.distance_field import DistanceField
-from slam.matching.line_matcher import ScanFeatures
 from slam.matching.point_matcher import Prediction
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan

@@ -8,7 +8,7 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.graph.wall_bends import WallBends
 from slam.mapping.keyframes import LandmarkIds
 from slam.mapping.mapper import Mapper
-from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.preprocessing.preprocessor import ProcessedScan
 

@@ -6,8 +6,7 @@ import pytest
 from drivers import se2
 from features.types import Corners, Lines
 from slam.geometry.line_segments import corner_points, segments_from_lines
-from slam.geometry.range_bias import without_range_bias
-from slam.geometry.segments import CornerPoints, Segments
+from slam.geometry.segments import Segments
 
 
 def lines_of(frames: np.ndarray, half_length: np.ndarray, covariance: np.ndarray) -> Lines:
@@ -136,25 +135,3 @@ def test_no_lines_give_no_segments() -> None:
 def test_the_reach_bounds_the_distance_of_the_farthest_end() -> None:
     segments = Segments(np.array([[3.0, 4.0, 0.0], [1.0, 0.0, 0.0]]), np.array([0.5, 2.0]), np.zeros((2, 2, 2)))
     assert segments.reach() == pytest.approx(5.5)
-
-
-def test_without_the_range_bias_corners_are_still_on_their_walls() -> None:
-    bias, count = 1e-4, 40
-    frames, half = around(count)
-    slopes = np.random.default_rng(2).normal(scale=[1.0, 0.3], size=(count, 2))
-    segments = Segments(frames, half, np.zeros((count, 2, 2)), slopes)
-    pairs = np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
-    pairs = pairs[np.abs(np.sin(frames[pairs[:, 0], 2] - frames[pairs[:, 1], 2])) > 0.3]
-    normals = np.stack([-np.sin(frames[pairs, 2]), np.cos(frames[pairs, 2])], axis=-1)
-    positions = np.linalg.solve(normals, np.sum(normals * frames[pairs, :2], axis=-1)[..., None])[..., 0]
-    corners = CornerPoints(positions, np.zeros((len(pairs), 2, 2)), pairs, frames[pairs, 2])
-
-    moved, moved_corners = without_range_bias(segments, corners, bias)
-
-    shifts = np.column_stack([np.zeros(count), -bias * slopes])
-    np.testing.assert_allclose(moved.frame, se2.compose(frames, shifts), atol=1e-12)
-    np.testing.assert_array_equal(moved_corners.headings, moved.frame[pairs, 2])
-    on_walls = np.stack([se2.transform(se2.inverse(moved.frame[pairs[:, k]]), moved_corners.position) for k in (0, 1)])
-    distances = np.hypot(*(positions - frames[pairs[:, 0], :2]).T)
-    assert (np.abs(on_walls[..., 1]) < 10.0 * bias**2 * (1.0 + distances)).all()
-    assert np.hypot(*(moved_corners.position - positions).T).max() > bias

@@ -15,8 +15,8 @@ from slam.localisation.local_field import (
     LocalField,
 )
 from slam.matching.distance_field import ALL_POINTS
-from slam.matching.line_matcher import ScanFeatures
 from slam.matching.offset_tiles import FIELD_CELL, NOWHERE
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
 from ..outlines import offsets_of

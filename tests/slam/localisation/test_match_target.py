@@ -11,8 +11,8 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.match_target import MatchTarget
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import empty_local_map, local_map_around
-from slam.matching.line_matcher import ScanFeatures
 from slam.matching.point_matcher import Prediction
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
 from ..outlines import noisy_field, outline, visible, with_noise

@@ -15,8 +15,8 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.match_target import MatchTarget, ScanMatch
 from slam.localisation.moving_objects import match_without_moving, without_points
 from slam.mapping.local_map import empty_local_map
-from slam.matching.line_matcher import ScanFeatures
 from slam.matching.point_matcher import Prediction
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
 from ..outlines import noisy_field, outline, visible, with_noise

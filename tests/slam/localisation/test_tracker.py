@@ -20,9 +20,9 @@ from slam.localisation.match_target import MatchTarget
 from slam.localisation.tracker import Tracker
 from slam.localisation.tracking import TrackingResult, TrackingStatus
 from slam.mapping.local_map import empty_local_map
-from slam.matching.line_matcher import ScanFeatures
 from slam.matching.offset_tiles import FIELD_CELL
 from slam.matching.point_matcher import Prediction, match_points
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.predicted_motion import PredictedMotionModel

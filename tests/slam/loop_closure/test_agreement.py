@@ -21,7 +21,7 @@ from slam.loop_closure.returns import summarise
 from slam.loop_closure.submap_search import SUBMAP_LENGTH, SubmapMatch
 from slam.loop_closure.votes import Vote, Votes
 from slam.mapping.landmarks import Landmarks
-from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 
 from ..outlines import outline, visible, with_noise

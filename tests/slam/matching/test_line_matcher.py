@@ -10,8 +10,9 @@ from slam.geometry.segments import CornerPoints, Segments
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, empty_local_map, local_map_around
 from slam.matching.distance_field import DistanceField
-from slam.matching.line_matcher import Registration, ScanFeatures, register
+from slam.matching.line_matcher import Registration, register
 from slam.matching.point_matcher import POINT_SPACING, Prediction, match_points
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import FINE_SIGMA, ScanPoints, segments_of, surface_points
 
 from ..outlines import NO_SEGMENTS

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.messages import Odometry, Scan
 from slam.config import FeatureConfig, LidarConfig, OdometryConfig
 from slam.geometry.segments import CornerPoints, Segments
-from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import POINT_UNIT, ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import OdometryHistory

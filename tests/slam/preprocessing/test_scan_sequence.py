@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam.geometry.segments import CornerPoints, Segments
-from slam.matching.line_matcher import ScanFeatures
+from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from slam.preprocessing.scan_sequence import ScanSequence
