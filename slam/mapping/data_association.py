@@ -47,7 +47,7 @@ UNMATCHED, AMBIGUOUS = -1, -2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Association:
+class RowAssociation:
     """Landmarks associated with the segments (n,) and corners (m,) of a scan, as rows of the local map.
 
     walls, corners                   row, UNMATCHED for a new landmark, or AMBIGUOUS: too close to a landmark to be new
@@ -62,12 +62,12 @@ class Association:
     corner_distance: Floats
     nearest_corner: Integers
 
-    def in_landmark_ids(self, walls: Integers, corners: Integers, local_map: LocalMap) -> Association:
+    def in_landmark_ids(self, walls: Integers, corners: Integers, local_map: LocalMap) -> LandmarkAssociation:
         """Return the same association with landmark ids instead of rows of the local map.
 
         `walls` (n,) and `corners` (m,) are the ids assigned to the features, -1 for none.
         """
-        return Association(
+        return LandmarkAssociation(
             walls,
             self.wall_distance,
             _ids_of(self.nearest_wall, local_map.walls),
@@ -77,9 +77,26 @@ class Association:
         )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LandmarkAssociation:
+    """Landmarks associated with the segments (n,) and corners (m,) of a keyframe, as landmark ids.
+
+    walls, corners                   id, also of landmarks that the keyframe has added; -1 for a feature of none
+    nearest_wall, nearest_corner     id of the nearest candidate, matched or not; -1 without one
+    wall_distance, corner_distance   squared Mahalanobis distance to the nearest candidate; NaN without one
+    """
+
+    walls: Integers
+    wall_distance: Floats
+    nearest_wall: Integers
+    corners: Integers
+    corner_distance: Floats
+    nearest_corner: Integers
+
+
 def associate(
     pose: se2.Pose, covariance: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, roughness: float
-) -> Association:
+) -> RowAssociation:
     """Associate the features of a scan with the landmarks of the local map.
 
     pose        of the base in the map, with its `covariance` (3, 3) in the base's frame
@@ -96,7 +113,7 @@ def associate(
     )  # fmt: skip
     no_extent, equal = np.zeros_like(corner_distance), np.ones(len(local_map.corners), dtype=np.int64)
     rows, smallest, nearest = _assign_greedily(corner_distance, equal, no_extent, no_extent)
-    return Association(walls, wall_distance, nearest_wall, rows, smallest, nearest)
+    return RowAssociation(walls, wall_distance, nearest_wall, rows, smallest, nearest)
 
 
 def _ids_of(rows: Integers, landmarks: Integers) -> Integers:

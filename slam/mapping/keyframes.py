@@ -10,7 +10,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
-from .data_association import Association
+from .data_association import LandmarkAssociation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,13 +18,13 @@ class KeyframeObservations:
     """Features of a keyframe and the landmarks they were associated with.
 
     segments, corners  n segments and m corners in the base's frame
-    association        of these features, in landmark ids; new landmarks have theirs, -1 is an ambiguous feature
+    association        of these features with landmarks
     new_walls          ids of the walls that this keyframe added
     """
 
     segments: Segments
     corners: CornerPoints
-    association: Association
+    association: LandmarkAssociation
     new_walls: Integers
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
-from .data_association import UNMATCHED, Association
+from .data_association import UNMATCHED, RowAssociation
 from .keyframes import LandmarkIds
 from .landmarks import Landmarks
 from .local_map import LocalMap
@@ -23,7 +23,7 @@ def assign_landmark_ids(
     pose: se2.Pose,
     segments: Segments,
     corners: CornerPoints,
-    association: Association,
+    association: RowAssociation,
     local_map: LocalMap,
     points: Floats,
 ) -> LandmarkIds:
@@ -41,7 +41,7 @@ def _assign_walls(
     keyframe: int,
     pose: se2.Pose,
     segments: Segments,
-    association: Association,
+    association: RowAssociation,
     local_map: LocalMap,
     points: Floats,
 ) -> Integers:
@@ -63,7 +63,7 @@ def _assign_corners(
     pose: se2.Pose,
     corners: CornerPoints,
     walls: Integers,
-    association: Association,
+    association: RowAssociation,
     local_map: LocalMap,
 ) -> Integers:
     """Return the ids of the corners; `walls` (n,) are those of the segments."""

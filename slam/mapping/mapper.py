@@ -15,7 +15,7 @@ from ..graph.factors import Factor, GraphState
 from ..graph.graph_storage import restore_graph
 from ..graph.range_bias import RangeBias
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
-from .data_association import Association
+from .data_association import RowAssociation
 from .keyframe_covariances import KeyframeCovariances
 from .keyframes import (
     KeyframeMotion,
@@ -128,7 +128,7 @@ class Mapper(MappedKeyframes):
         motion: KeyframeMotion | None,
         segments: Segments,
         corners: CornerPoints,
-        association: Association,
+        association: RowAssociation,
         local_map: LocalMap,
         scan_matches: Sequence[RelativeScanMatch] = (),
         points: Floats = NO_POINTS,

@@ -13,7 +13,7 @@ from slam.graph.factors import FactorKind
 from slam.loop_closure.closing import add_return, close_loop
 from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.loop_status import LoopStatus
-from slam.mapping.data_association import UNMATCHED, Association
+from slam.mapping.data_association import UNMATCHED, RowAssociation
 from slam.mapping.keyframes import KeyframeMotion
 from slam.mapping.local_map import empty_local_map
 from slam.mapping.mapper import Mapper
@@ -41,7 +41,7 @@ def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, kno
         corner = np.array([known[0] // len(walls)])  # 0 in the first pass, 1 in the second
         named = {name: getattr(local, name) for name in local.__slots__}
         local = type(local)(**{**named, "walls": np.array(known), "corners": corner})
-    association = Association(rows, np.zeros(len(walls)), rows, rows[:seen], np.zeros(seen), rows[:seen])
+    association = RowAssociation(rows, np.zeros(len(walls)), rows, rows[:seen], np.zeros(seen), rows[:seen])
     covariance = np.diag([0.05, 0.05, 0.03]) ** 2
     first = mapper.keyframe_count == 0
     step = None if first else KeyframeMotion(mapper.keyframe_count - 1, motion, covariance)

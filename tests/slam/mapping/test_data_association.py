@@ -5,7 +5,7 @@ import pytest
 
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Segments
-from slam.mapping.data_association import AMBIGUOUS, UNMATCHED, Association, associate
+from slam.mapping.data_association import AMBIGUOUS, UNMATCHED, RowAssociation, associate
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, empty_local_map, local_map_around
 
@@ -33,7 +33,7 @@ def seen(*frames: tuple[float, float, float], sigma: float = 0.003) -> Segments:
     return Segments(se2.between(POSE, np.array(frames)).reshape(-1, 3), np.full(count, HALF), covariance)
 
 
-def match(segments: Segments, local_map: LocalMap, covariance: np.ndarray = CERTAIN) -> Association:
+def match(segments: Segments, local_map: LocalMap, covariance: np.ndarray = CERTAIN) -> RowAssociation:
     return associate(POSE, covariance, segments, NO_CORNERS, local_map, 1e-6)
 
 

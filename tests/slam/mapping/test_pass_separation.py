@@ -10,7 +10,7 @@ import pytest
 from drivers import se2
 from slam.geometry.segments import CornerPoints, Segments
 from slam.graph.factors import FactorKind
-from slam.mapping.data_association import UNMATCHED, Association
+from slam.mapping.data_association import UNMATCHED, RowAssociation
 from slam.mapping.keyframes import KeyframeMotion
 from slam.mapping.local_map import empty_local_map
 from slam.mapping.manual_changes import tie_walls
@@ -47,7 +47,7 @@ def drive(mapper: Mapper) -> list[Segments]:
             local = type(local)(**fields | {"walls": np.arange(len(WALLS)), "corners": np.arange(seen)})
         rows = np.arange(len(walls)) if known else np.full(len(walls), UNMATCHED)
         corner_rows = np.arange(seen) if known else np.full(seen, UNMATCHED)
-        association = Association(rows, np.zeros(len(walls)), rows, corner_rows, np.zeros(seen), corner_rows)
+        association = RowAssociation(rows, np.zeros(len(walls)), rows, corner_rows, np.zeros(seen), corner_rows)
         step = None if k == 0 else KeyframeMotion(k - 1, motion, np.diag([0.5, 0.5, 0.5]) ** 2)
         mapper.refresh(mapper.add_keyframe(pose, step, segments, corners, association, local))
         views.append(segments)
