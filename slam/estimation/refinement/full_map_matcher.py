@@ -96,7 +96,7 @@ class FullMapMatcher:
         self._informations = history.informations + self._weak_information
         self._range_bias = range_bias
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
-        self._tiles = self._tiles_of(history.anchors)
+        self._tiles = self._tiles_of(history.own_keyframes)
         self._next_rows = _next_rows(self._tiles)
         self._fields: dict[_Tile, tuple[int, DistanceField]] = {}  # with the next scan that needs it
         self._points: dict[int, NDArray[np.float32]] = {}  # of the keyframes in fields

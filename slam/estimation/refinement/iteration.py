@@ -123,13 +123,13 @@ def motion_to_keyframe(
     `odometry_wrong` (n,) is true for scans at which odometry is known to be wrong.
     """
     start, row = history.odometry_start(keyframe), int(history.keyframes[keyframe])
-    anchor, relative = int(history.anchors[start]), history.relative[start]
+    origin, relative = int(history.own_keyframes[start]), history.relative[start]
     motion, covariance = history.motion(start, row, model, odometry_wrong)
     correlated_drift = history.correlated_drift(start, row, model, odometry_wrong)
     if start != history.keyframes[keyframe - 1]:
         adjoint = se2.adjoint(se2.inverse(motion))
         covariance = covariance + adjoint @ np.diag(TRACKED_SIGMAS**2) @ adjoint.T
-    return KeyframeMotion(anchor, se2.compose(relative, motion), covariance, correlated_drift)
+    return KeyframeMotion(origin, se2.compose(relative, motion), covariance, correlated_drift)
 
 
 def _count_changes(old: Mapper, new: Mapper) -> int:

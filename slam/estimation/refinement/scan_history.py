@@ -52,16 +52,16 @@ class ScanMotions:
 class ScanHistory:
     """n processed scans in time order, k of which are keyframes.
 
-    keyframes     (k,) rows of the keyframes
-    anchors       (n,) keyframe to which each scan's pose is relative
-    relative      (n, 3) pose of each scan relative to its anchor
-    informations  (n, 3, 3) of the online matches, in the scans' own frames; zeros if a scan was not matched
-    kidnapped     rows of scans to which odometry does not lead: after kidnapping, or first of an odometry segment
+    keyframes      (k,) rows of the keyframes
+    own_keyframes  (n,) keyframe to which each scan's pose is relative
+    relative       (n, 3) pose of each scan relative to its own keyframe
+    informations   (n, 3, 3) of the online matches, in the scans' own frames; zeros if a scan was not matched
+    kidnapped      rows of scans to which odometry does not lead: after kidnapping, or first of an odometry segment
     """
 
     scans: Sequence[ProcessedScan]
     keyframes: Integers
-    anchors: Integers
+    own_keyframes: Integers
     relative: Floats
     informations: Floats
     kidnapped: frozenset[int]
@@ -91,12 +91,12 @@ class ScanHistory:
 
     def trajectory(self, keyframe_poses: Floats, poses: Floats) -> TrajectoryBuilder:
         """Return the trajectory with the scans at `poses` (n, 3), relative to keyframes at their poses (k, 3)."""
-        relative = se2.between(keyframe_poses[self.anchors], poses).reshape(-1, 3)
-        return TrajectoryBuilder.from_arrays(self.stamps, self.anchors, relative, self.informations)
+        relative = se2.between(keyframe_poses[self.own_keyframes], poses).reshape(-1, 3)
+        return TrajectoryBuilder.from_arrays(self.stamps, self.own_keyframes, relative, self.informations)
 
     def scan_poses(self, keyframe_poses: Floats) -> Floats:
         """Return the poses (n, 3) of all scans, given those of the keyframes (k, 3)."""
-        return se2.compose(keyframe_poses[self.anchors], self.relative).reshape(-1, 3)
+        return se2.compose(keyframe_poses[self.own_keyframes], self.relative).reshape(-1, 3)
 
     def motion(
         self, row: int, to: int, model: OdometryModel, odometry_wrong: NDArray[np.bool_]
@@ -135,11 +135,11 @@ class ScanHistory:
         """Return the row of the scan from which odometry leads to a keyframe.
 
         This is the previous keyframe. If the robot passed a familiar place in between without new keyframes, it is the
-        first of the scans with the same anchor as the last scan before the keyframe.
+        first of the scans with the same own keyframe as the last scan before the keyframe.
         """
         last = int(self.keyframes[keyframe]) - 1
         start = last
-        while start > 0 and self.anchors[start - 1] == self.anchors[last]:
+        while start > 0 and self.own_keyframes[start - 1] == self.own_keyframes[last]:
             start -= 1
         return max(start, int(self.keyframes[keyframe - 1]))
 
@@ -164,9 +164,9 @@ def build_scan_history(
     """
     scans = ScanSequence.of(scans)
     odometry = scans.odometry
-    stamps, anchors, relative, informations = trajectory.relative_poses()
+    stamps, own, relative, informations = trajectory.relative_poses()
     keyframes = np.zeros(len(keyframe_stamps), dtype=np.int64)
-    all_anchors = np.zeros(len(scans), dtype=np.int64)
+    all_own = np.zeros(len(scans), dtype=np.int64)
     all_relative, all_informations = np.zeros((len(scans), 3)), np.zeros((len(scans), 3, 3))
     tracked = keyframe = last = 0
     waiting: list[int] = []  # scans since the start of the odometry segment that have no pose yet
@@ -177,16 +177,16 @@ def build_scan_history(
             keyframes[keyframe] = row
             keyframe += 1
         if tracked < len(stamps) and stamp == stamps[tracked]:
-            all_anchors[row], all_relative[row] = anchors[tracked], relative[tracked]
+            all_own[row], all_relative[row] = own[tracked], relative[tracked]
             all_informations[row] = informations[tracked]
             for before in waiting if last < 0 else ():
                 motion = se2.between(odometry[row], odometry[before])
-                all_anchors[before], all_relative[before] = anchors[tracked], se2.compose(relative[tracked], motion)
+                all_own[before], all_relative[before] = own[tracked], se2.compose(relative[tracked], motion)
             tracked, last = tracked + 1, row
         elif last < 0:
             waiting.append(row)
         else:
             motion = se2.between(odometry[last], odometry[row])
-            all_anchors[row], all_relative[row] = all_anchors[last], se2.compose(all_relative[last], motion)
+            all_own[row], all_relative[row] = all_own[last], se2.compose(all_relative[last], motion)
     jumps = frozenset([*(int(keyframes[k]) for k in kidnapped), *(row for row in starts if row)])
-    return ScanHistory(scans, keyframes, all_anchors, all_relative, all_informations, jumps)
+    return ScanHistory(scans, keyframes, all_own, all_relative, all_informations, jumps)

@@ -79,7 +79,7 @@ class _Values:
 
     stamps, travel, has_features  (n,), odometry (n, 3): see `ScanSequence`
     tracked                       (m,) rows of the scans on the trajectory
-    anchors                       (m,), relative (m, 3), informations (m, 3, 3): see `TrajectoryBuilder`
+    own_keyframes                 (m,), relative (m, 3), informations (m, 3, 3): see `TrajectoryBuilder`
     """
 
     stamps: Floats
@@ -87,7 +87,7 @@ class _Values:
     travel: Floats
     has_features: NDArray[np.bool_]
     tracked: Integers
-    anchors: Integers
+    own_keyframes: Integers
     relative: Floats
     informations: Floats
 
@@ -95,9 +95,9 @@ class _Values:
     def of(cls, records: ScanRecords) -> _Values:
         """Return the values of the scans of a session."""
         scans, stamps = records.scans, records.scans.stamps
-        tracked_stamps, anchors, relative, informations = records.trajectory.relative_poses()
+        tracked_stamps, own, relative, informations = records.trajectory.relative_poses()
         tracked = _rows_of(tracked_stamps, stamps)
-        return cls(stamps, scans.odometry, scans.travel, scans.has_features, tracked, anchors, relative, informations)
+        return cls(stamps, scans.odometry, scans.travel, scans.has_features, tracked, own, relative, informations)
 
     def columns(self, keyframes: Integers, rows: range) -> dict[str, NDArray[np.generic]]:
         """Return the columns with one value for each of the scans `rows`; `keyframes` are the rows of keyframes."""
@@ -110,7 +110,7 @@ class _Values:
         columns["sweep_travel"] = self.travel[some]
         numbers = _scatter(keyframes[first:last] - rows.start, np.arange(first, last), count, -1)
         columns["keyframe"] = numbers.astype(np.int32)
-        columns["anchor"] = _scatter(tracked, self.anchors[begin:end], count, -1).astype(np.int32)
+        columns["anchor"] = _scatter(tracked, self.own_keyframes[begin:end], count, -1).astype(np.int32)
         for k, name in enumerate(("x", "y", "heading")):
             columns[f"relative_{name}"] = _scatter(tracked, self.relative[begin:end, k], count, 0.0)
         for i, j, name in zip(*UPPER_TRIANGLE, POSE_ENTRIES, strict=True):
@@ -168,11 +168,11 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
         raise MapError(f"{file}: the scans are not in time order")
     odometry = table.floats("odometry_x", "odometry_y", "odometry_heading")
     features = read_features(table, file, exact=False)
-    keyframe, anchor = table.integers("keyframe"), table.integers("anchor")
+    keyframe, own_keyframes = table.integers("keyframe"), table.integers("anchor")
     rows = np.flatnonzero(keyframe >= 0)
     if not np.array_equal(keyframe[rows], np.arange(len(rows))):
         raise MapError(f"{file}: the keyframes are not in order")
-    if (anchor > np.maximum.accumulate(keyframe)).any():
+    if (own_keyframes > np.maximum.accumulate(keyframe)).any():
         raise MapError(f"{file}: the pose of a scan is relative to a later keyframe")
     _read_recent_keyframes(recent_keyframes, features, rows[-EXACT_KEYFRAMES:])
     has_features = table.booleans("has_features")
@@ -186,7 +186,7 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
     for row, ids in zip(rows.tolist(), landmark_ids, strict=True):
         if len(ids.walls) != len(features[row].segments) or len(ids.corners) != len(features[row].corners):
             raise MapError(f"{file}: a keyframe does not have a landmark id for each feature")
-    return ScanRecords(scans, _read_trajectory(table, file, stamps, anchor), stamps[rows].tolist(), landmark_ids)
+    return ScanRecords(scans, _read_trajectory(table, file, stamps, own_keyframes), stamps[rows].tolist(), landmark_ids)
 
 
 def _read_recent_keyframes(file: Path, features: list[ScanFeatures], rows: Integers) -> None:
@@ -200,8 +200,8 @@ def _read_recent_keyframes(file: Path, features: list[ScanFeatures], rows: Integ
         features[row] = one
 
 
-def _read_trajectory(table: TableReader, file: Path, stamps: Floats, anchor: Integers) -> TrajectoryBuilder:
-    """Read the poses of the scans with an anchor, relative to it. Raises MapError naming the file."""
+def _read_trajectory(table: TableReader, file: Path, stamps: Floats, own_keyframes: Integers) -> TrajectoryBuilder:
+    """Read the poses of the scans relative to their own keyframes, -1 without one. Raises MapError naming the file."""
     relative = table.floats("relative_x", "relative_y", "relative_heading")
     upper = table.floats(*(f"information_{name}" for name in POSE_ENTRIES), limit=MAX_MAGNITUDE)
     informations = np.zeros((len(table), 3, 3))
@@ -209,5 +209,5 @@ def _read_trajectory(table: TableReader, file: Path, stamps: Floats, anchor: Int
     informations[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = upper
     if not are_semidefinite(informations):
         raise MapError(f"{file}: the information of a pose is negative")
-    rows = anchor >= 0
-    return TrajectoryBuilder.from_arrays(stamps[rows], anchor[rows], relative[rows], informations[rows])
+    rows = own_keyframes >= 0
+    return TrajectoryBuilder.from_arrays(stamps[rows], own_keyframes[rows], relative[rows], informations[rows])

@@ -38,10 +38,10 @@ def direct_motions(
 
 def without_detours(history: ScanHistory, keyframes: range) -> ScanHistory:
     """Return a history in which the scans of a pass are relative to its own keyframes, by odometry if they were not."""
-    anchors, relative, informations = history.anchors.copy(), history.relative.copy(), history.informations.copy()
+    own, relative, informations = history.own_keyframes.copy(), history.relative.copy(), history.informations.copy()
     before = np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1
-    for row in np.flatnonzero(np.isin(before, keyframes) & (anchors < keyframes.start)).tolist():
+    for row in np.flatnonzero(np.isin(before, keyframes) & (own < keyframes.start)).tolist():
         start = history.scans[int(history.keyframes[before[row]])]
-        anchors[row], informations[row] = before[row], 0.0
+        own[row], informations[row] = before[row], 0.0
         relative[row] = se2.between(start.odometry, history.scans[row].odometry)
-    return replace(history, anchors=anchors, relative=relative, informations=informations)
+    return replace(history, own_keyframes=own, relative=relative, informations=informations)

@@ -45,7 +45,8 @@ class PinPlaces:
         """Take a session, and the path in its results."""
         mapper = session.slam_state.mapper
         history = session.scan_history()
-        self._stamps, self._anchors, self._informations = history.stamps, history.anchors, history.informations
+        self._stamps, self._informations = history.stamps, history.informations
+        self._own_keyframes = history.own_keyframes
         self._path, self._keyframe_poses = path, mapper.keyframe_poses.copy()
         self._keyframe_stamps = np.array(session.slam_state.keyframe_stamps)
 
@@ -57,7 +58,7 @@ class PinPlaces:
         row = int(gaps.argmin()) if len(gaps) else 0
         if not len(gaps) or gaps[row] > MAX_TIME_DIFFERENCE:
             raise MapError(f"{pin.name}: there is no scan within {MAX_TIME_DIFFERENCE} s of that stamp")
-        keyframe = int(self._anchors[row])
+        keyframe = int(self._own_keyframes[row])
         relative = se2.between(self._keyframe_poses[keyframe], self._pose(pin.id))
         if self._keyframe_stamps[keyframe] == self._stamps[row]:
             return PinTarget(keyframe, relative)

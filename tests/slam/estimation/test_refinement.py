@@ -102,7 +102,7 @@ def test_history_contains_all_scans_at_their_tracked_poses(session: MappedSessio
     history, poses = session.history, session.poses
     assert len(history) == len(history.stamps)
     np.testing.assert_allclose(history.relative[history.keyframes], 0.0, atol=1e-12)
-    np.testing.assert_array_equal(history.anchors[history.keyframes], np.arange(len(history.keyframes)))
+    np.testing.assert_array_equal(history.own_keyframes[history.keyframes], np.arange(len(history.keyframes)))
     assert error(history.stamps, history.scan_poses(poses), session.messages) < 0.01
 
 

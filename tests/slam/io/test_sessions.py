@@ -119,7 +119,7 @@ def test_scans_are_read_back(written: tuple[StoredSession, Path]) -> None:
     np.testing.assert_array_equal(history.stamps, expected.stamps)
     np.testing.assert_array_equal(history.odometry, expected.odometry)
     np.testing.assert_array_equal(history.keyframes, expected.keyframes)
-    np.testing.assert_array_equal(history.anchors, expected.anchors)
+    np.testing.assert_array_equal(history.own_keyframes, expected.own_keyframes)
     np.testing.assert_array_equal(history.relative, expected.relative)
     np.testing.assert_array_equal(history.has_features, expected.has_features)
     for before, after in ((b.features, a.features) for b, a in zip(expected.scans, history.scans, strict=True)):

@@ -13,14 +13,14 @@ from slam.offline.corrections.detours import direct_motions, is_detour, without_
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 
 KEYFRAMES = np.array([0, 1, 2, 3, 6, 7])
-ANCHORS = np.array([0, 1, 2, 3, 1, 1, 4, 5])
+OWN_KEYFRAMES = np.array([0, 1, 2, 3, 1, 1, 4, 5])
 """The fifth and the sixth scan were at the place of the second keyframe, as the program had it."""
 
 
 def history() -> ScanHistory:
-    scans = [ProcessedScan(float(k), np.array([0.5 * k, 0.0, 0.1 * k]), NO_FEATURES) for k in range(len(ANCHORS))]
-    relative = np.tile([0.02, 0.0, 0.0], (len(scans), 1)) * (ANCHORS == 1)[:, None]
-    return ScanHistory(scans, KEYFRAMES, ANCHORS, relative, np.tile(np.eye(3), (len(scans), 1, 1)), frozenset())
+    scans = [ProcessedScan(float(k), np.array([0.5 * k, 0.0, 0.1 * k]), NO_FEATURES) for k in range(len(OWN_KEYFRAMES))]
+    relative = np.tile([0.02, 0.0, 0.0], (len(scans), 1)) * (OWN_KEYFRAMES == 1)[:, None]
+    return ScanHistory(scans, KEYFRAMES, OWN_KEYFRAMES, relative, np.tile(np.eye(3), (len(scans), 1, 1)), frozenset())
 
 
 def odometry(first: int, second: int) -> Factor:
@@ -39,11 +39,11 @@ def test_motions_from_keyframes_of_an_earlier_pass_are_replaced() -> None:
 
 def test_scans_are_relative_to_keyframes_of_their_own_pass() -> None:
     before, after = history(), without_detours(history(), range(3, 6))
-    np.testing.assert_array_equal(after.anchors, [0, 1, 2, 3, 3, 3, 4, 5])
+    np.testing.assert_array_equal(after.own_keyframes, [0, 1, 2, 3, 3, 3, 4, 5])
     for row in (4, 5):
         expected = se2.between(before.scans[3].odometry, before.scans[row].odometry)
         np.testing.assert_allclose(after.relative[row], expected)
         assert not after.informations[row].any()
     others = [0, 1, 2, 3, 6, 7]
     np.testing.assert_array_equal(after.relative[others], before.relative[others])
-    np.testing.assert_array_equal(before.anchors, ANCHORS)
+    np.testing.assert_array_equal(before.own_keyframes, OWN_KEYFRAMES)
