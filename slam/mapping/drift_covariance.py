@@ -4,9 +4,9 @@ The correlated drift D(k), the error of the position of keyframe k that its neig
 the drive: it grows from the keyframe that odometry leads from, so keyframes form a tree. With the covariance V(k)
 accumulated up to each keyframe, cov(D(i), D(j)) = V(a), a the last common ancestor of both.
 
-A loop, a scan match, or an observation of a wall that was first seen at keyframe o says that D(k) and D(o) are equal in
-some direction n, with the variance r. A pin or a plan says the same of D(k) and the first keyframe, where the drift is
-zero. The drift given m of these,
+A loop, a scan match or submap match, or an observation of a wall that was first seen at keyframe o says that D(k) and
+D(o) are equal in some direction n, with the variance r. A pin or a plan says the same of D(k) and the first keyframe,
+where the drift is zero. The drift given m of these,
 
     h = n . (D(k) - D(o)) = 0 +- r,
 
@@ -24,7 +24,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from ..graph.factors import Factor, FactorKind, FactorsOfKind, by_kind
+from ..graph.factors import MATCH_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
 if TYPE_CHECKING:
     from .mapper import Mapper
@@ -38,7 +38,7 @@ ROUNDING = 1e-12
 # Kinds of factors that state the place of a wall across it. Origin: definition.
 WALL_CONDITIONS = FactorKind.WALL_OFFSET, FactorKind.PLAN_WALL, FactorKind.PINNED_WALL
 # Kinds of factors that state the pose of a keyframe, relative to another one or in the map. Origin: definition.
-POSE_CONDITIONS = FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.PINNED_POSE
+POSE_CONDITIONS = FactorKind.LOOP, *MATCH_KINDS, FactorKind.PINNED_POSE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

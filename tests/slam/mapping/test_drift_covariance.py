@@ -26,8 +26,8 @@ def driven(parents: list[int], *factors: Factor) -> Mapper:
     return mapper
 
 
-def loop(old: int, new: int, sigma: float) -> Factor:
-    return Factor(FactorKind.LOOP, old, new, np.zeros(3), sigma**2 * np.eye(3), np.zeros(0))
+def loop(old: int, new: int, sigma: float, kind: FactorKind = FactorKind.LOOP) -> Factor:
+    return Factor(kind, old, new, np.zeros(3), sigma**2 * np.eye(3), np.zeros(0))
 
 
 def along(drift: DriftCovariance, first: int, second: int) -> float:
@@ -42,8 +42,9 @@ def test_keyframes_share_the_drift_up_to_their_common_ancestor() -> None:
     assert along(drift, 6, 3) == pytest.approx(0.01)
 
 
-def test_a_loop_removes_the_drift_at_its_end_and_halves_it_at_the_far_side() -> None:
-    drift = DriftCovariance(driven(list(range(10)), loop(0, 10, 0.001)))
+@pytest.mark.parametrize("kind", [FactorKind.LOOP, FactorKind.SCAN_MATCH, FactorKind.SUBMAP_MATCH])
+def test_a_loop_or_match_removes_the_drift_at_its_end_and_halves_it_at_the_far_side(kind: FactorKind) -> None:
+    drift = DriftCovariance(driven(list(range(10)), loop(0, 10, 0.001, kind)))
     assert along(drift, 10, 10) == pytest.approx(1e-6, rel=0.01)
     assert along(drift, 5, 5) == pytest.approx(0.025, rel=0.01)  # of a Brownian bridge: 0.05 (1 - 1 / 2)
     np.testing.assert_allclose(drift.of(np.arange(11))[:, 1, 1], 0.0, atol=1e-12)
