@@ -53,18 +53,8 @@ def polar_line(
     sin: Floats,
     numerator: float,
     denominator: float,
-    sigma_range: float,
-    sigma_bearing: float,
 ) -> tuple[float, float, float, float, float]:
-    """Return (r, alpha, Vr, Cra, Valpha) of eqs. (26) and (28)-(30) from the direction's numerator and denominator.
-
-    With q = z - mean(z), k = Im(exp(-i alpha) mean(z)) and dz = exp(i theta) drho or i z dtheta, a ray contributes
-
-        dalpha = Im(w q dz / Z) + Im(dw q^2 / Z) / 2
-        dr     = Re(exp(-i alpha) (w dz + dw q)) / W + k dalpha
-
-    where dw = -2 w / rho drho, since the weights 1/rho^2 depend on the range.
-    """
+    """Return (r, alpha, mean x, mean y, W) of eqs. (26) and (28) from the direction's numerator and denominator."""
     alpha = 0.5 * math.atan2(numerator, denominator)
     ca, sa = math.cos(alpha), math.sin(alpha)
     weight = x = y = 0.0
@@ -75,7 +65,32 @@ def polar_line(
     x, y = x / weight, y / weight
     r = x * ca + y * sa
     if r < 0.0:
-        r, alpha, ca, sa = -r, alpha + math.pi, -ca, -sa
+        r, alpha = -r, alpha + math.pi
+    return r, alpha, x, y, weight
+
+
+@vectorised
+def polar_covariance(
+    inverse: Floats,
+    cos: Floats,
+    sin: Floats,
+    numerator: float,
+    denominator: float,
+    line: tuple[float, float, float, float, float],
+    sigma_range: float,
+    sigma_bearing: float,
+) -> tuple[float, float, float]:
+    """Return (Vr, Cra, Valpha) of eqs. (29)-(30) of a line that `polar_line` has found.
+
+    With q = z - mean(z), k = Im(exp(-i alpha) mean(z)) and dz = exp(i theta) drho or i z dtheta, a ray contributes
+
+        dalpha = Im(w q dz / Z) + Im(dw q^2 / Z) / 2
+        dr     = Re(exp(-i alpha) (w dz + dw q)) / W + k dalpha
+
+    where dw = -2 w / rho drho, since the weights 1/rho^2 depend on the range.
+    """
+    _, alpha, x, y, weight = line
+    ca, sa = math.cos(alpha), math.sin(alpha)
     k = y * ca - x * sa
     size = denominator * denominator + numerator * numerator
     zr, zi = -denominator / size, numerator / size  # 1/Z
@@ -95,7 +110,7 @@ def polar_line(
         vr += range_variance * r_range * r_range + bearing_variance * r_bearing * r_bearing
         vra += range_variance * r_range * alpha_range + bearing_variance * r_bearing * alpha_bearing
         va += range_variance * alpha_range * alpha_range + bearing_variance * alpha_bearing * alpha_bearing
-    return r, alpha, vr, vra, va
+    return vr, vra, va
 
 
 @compiled
@@ -104,7 +119,9 @@ def fit_arras_siegwart(
 ) -> tuple[float, float, float, float, float]:
     """Return (u, v, Cuu, Cuv, Cvv) of the line, for the extractor."""
     numerator, denominator = direction_by_single_sums(inverse, cos, sin)
-    r, alpha, vr, vra, va = polar_line(inverse, cos, sin, numerator, denominator, sigma_range, sigma_bearing)
+    line = polar_line(inverse, cos, sin, numerator, denominator)
+    vr, vra, va = polar_covariance(inverse, cos, sin, numerator, denominator, line, sigma_range, sigma_bearing)
+    r, alpha = line[0], line[1]
     c, s = math.cos(alpha), math.sin(alpha)
     ur, ua, wr, wa = -c / (r * r), -s / r, -s / (r * r), c / r
     return (
@@ -125,10 +142,11 @@ def fit(ranges: Floats, angles: Floats, noise: Noise, *, sums: Literal["single",
     inverse, cos, sin = ray_arrays(ranges, angles)
     direction = direction_by_double_sums if sums == "double" else direction_by_single_sums
     numerator, denominator = direction(inverse, cos, sin)
-    r, alpha, vr, vra, va = polar_line(
-        inverse, cos, sin, numerator, denominator, noise.sigma_range, noise.sigma_bearing
+    line = polar_line(inverse, cos, sin, numerator, denominator)
+    vr, vra, va = polar_covariance(
+        inverse, cos, sin, numerator, denominator, line, noise.sigma_range, noise.sigma_bearing
     )
-    parameters, parameter_covariance = np.array([r, alpha]), np.array([[vr, vra], [vra, va]])
+    parameters, parameter_covariance = np.array(line[:2]), np.array([[vr, vra], [vra, va]])
     uv, jacobian = uv_of_polar(parameters)
     return LineFit(
         uv=uv,

@@ -104,6 +104,34 @@ def write_ends(rays: Rays, count: int, begin: int, end: int, used: int, output: 
 
 
 @inlined
+def fit_reweighted(
+    part: RaySlice, u: float, v: float, settings: Settings
+) -> tuple[float, float, float, float, float, float, int]:
+    """Return the maximum-likelihood line of rays, as `reweighted` does, from the line (u, v).
+
+    The number of inliers is 0 if there are too few for a line.
+    """
+    cuu = cuv = cvv = chi2 = math.nan
+    used = 0
+    for _ in range(REWEIGHTINGS):
+        u, v, cuu, cuv, cvv, chi2, used = reweighted(
+            part.inverse,
+            part.cos,
+            part.sin,
+            u,
+            v,
+            settings.sigma_range,
+            settings.sigma_bearing,
+            settings.learned_range,
+            settings.learned_bearing,
+            INLIER_GATE,
+        )
+        if used < settings.minimum_count or used < MIN_INLIER_SHARE * len(part.inverse):
+            return u, v, cuu, cuv, cvv, chi2, 0
+    return u, v, cuu, cuv, cvv, chi2, used
+
+
+@inlined
 def fit_segment(
     rays: Rays,
     count: int,
@@ -125,23 +153,9 @@ def fit_segment(
     trimmed = min(TRIMMED_RAYS, (end - begin - settings.minimum_count) // 2)
     part = slice_rays(rays, count, begin + trimmed, end - trimmed, buffer)
     u, v = line(segments, segment)
-    cuu = cuv = cvv = chi2 = math.nan
-    used = 0
-    for _ in range(REWEIGHTINGS):
-        u, v, cuu, cuv, cvv, chi2, used = reweighted(
-            part.inverse,
-            part.cos,
-            part.sin,
-            u,
-            v,
-            settings.sigma_range,
-            settings.sigma_bearing,
-            settings.learned_range,
-            settings.learned_bearing,
-            INLIER_GATE,
-        )
-        if used < settings.minimum_count or used < MIN_INLIER_SHARE * len(part.inverse):
-            return False, False
+    u, v, cuu, cuv, cvv, chi2, used = fit_reweighted(part, u, v, settings)
+    if used == 0:
+        return False, False
     estimated = used >= MIN_ADAPT_RAYS
     if estimated:
         estimate_noise(part, u, v, settings, output.noise[estimates])

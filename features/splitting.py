@@ -202,7 +202,7 @@ def add_boundary_covariance(
     u1, v1, _ = solve_line(subtract_sums(terminus, middle))
     chosen, best = unwrapped_bearing(rays.bearing, count, position), gain_at(gains, count, position)
     total, bearing_variation = 1.0, 0.0
-    uu0 = uv0 = vv0 = uu1 = uv1 = vv1 = 0.0
+    first, second = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for k in range(low, high + 1):
         deficit = best - gain_at(gains, count, k)
         if not deficit < MAX_BOUNDARY_CHI2 or k == position:
@@ -213,19 +213,21 @@ def add_boundary_covariance(
         bearing_variation += likelihood * angle * angle
         middle = sums_up_to(prefix, count, k)
         u, v, _ = solve_line(subtract_sums(middle, origin))
-        du, dv = u - u0, v - v0
-        uu0, uv0, vv0 = uu0 + likelihood * du * du, uv0 + likelihood * du * dv, vv0 + likelihood * dv * dv
+        first = add_squares(first, likelihood, u - u0, v - v0)
         u, v, _ = solve_line(subtract_sums(terminus, middle))
-        du, dv = u - u1, v - v1
-        uu1, uv1, vv1 = uu1 + likelihood * du * du, uv1 + likelihood * du * dv, vv1 + likelihood * dv * dv
-    if math.isfinite(uu0 + vv0 + uu1 + vv1):
-        boundary_covariance[0, i] += uu0 / total
-        boundary_covariance[1, i] += uv0 / total
-        boundary_covariance[2, i] += vv0 / total
+        second = add_squares(second, likelihood, u - u1, v - v1)
+    if math.isfinite(first[0] + first[2] + second[0] + second[2]):
+        for entry in range(3):
+            boundary_covariance[entry, i] += first[entry] / total
+            boundary_covariance[entry, j] += second[entry] / total
         boundary_covariance[3, i] = bearing_variation / total
-        boundary_covariance[0, j] += uu1 / total
-        boundary_covariance[1, j] += uv1 / total
-        boundary_covariance[2, j] += vv1 / total
+
+
+@inlined
+def add_squares(squares: tuple[float, float, float], weight: float, du: float, dv: float) -> tuple[float, float, float]:
+    """Return weighted sums of du^2, du dv and dv^2 with one more difference (du, dv)."""
+    uu, uv, vv = squares
+    return uu + weight * du * du, uv + weight * du * dv, vv + weight * dv * dv
 
 
 @inlined

@@ -6,9 +6,17 @@ parameters are (u, v) = (x_Q, -y_Q): the line is u x + v y = 1, and a ray of bea
     u cos(theta) + v sin(theta) = 1 / rho,
 
 which is linear in (u, v). With the weights of eq. (17), w ~ 1/rho^2, the fit (18)-(19) is therefore ordinary least
-squares of 1/rho on (cos theta, sin theta), and needs only six sums over the rays, for any weights W:
+squares of 1/rho on (cos theta, sin theta), and needs only six sums over the rays, for any weights w:
 
-    W = sum W      E = sum W exp(2 i theta)      H = sum W (1/rho) exp(i theta)      K = sum W (1/rho)^2
+    W = sum w      E = sum w exp(2 i theta)      H = sum w (1/rho) exp(i theta)      K = sum w (1/rho)^2
+
+The maximum-likelihood form weights each ray by the inverse variance of its 1/rho, which is
+
+    sigma_range^2 p^4 + sigma_bearing^2 t^2,      p = u cos(theta) + v sin(theta),      t = v cos(theta) - u sin(theta),
+
+with its predicted 1/rho, p, and the slope t of p in bearing. With the measured 1/rho, rays measured too long would have
+larger weights than rays measured too short, and the line would be biased. Two corrections make the sums unbiased: noise
+makes 1/rho too large by sigma_range^2 / rho^3 on average, and shrinks exp(i k theta) by exp(-k^2 sigma_bearing^2 / 2).
 """
 
 from __future__ import annotations
@@ -98,13 +106,6 @@ def reweighted(
     Returns (u, v, Cuu, Cuv, Cvv, chi2, number of inliers). The weights are those of the first noise, sigma_range and
     sigma_bearing; the covariance is that of these weights if the noise is the second one: with the normal matrix N and
     the variances S of the rays, N^-1 A' W S W A N^-1, which is N^-1 if both are the same.
-
-    A ray's 1/rho has variance sigma_range^2 p^4 + sigma_bearing^2 t^2 with p = u cos + v sin its predicted 1/rho and
-    t = v cos - u sin the slope of p in bearing. The weight uses the predicted p: with the measured 1/rho, rays measured
-    too long would have larger weights than rays measured too short, and the line would be biased.
-
-    Two corrections make the sums unbiased: E[1/(rho + noise)] = eta + sigma_range^2 eta^3, and noise of the
-    bearings shrinks exp(i k theta) by exp(-k^2 sigma_bearing^2 / 2).
     """
     range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
     total = er = ei = hr = hi = k = used = learned = lr = li = 0.0
@@ -136,10 +137,18 @@ def reweighted(
     scale = 2.0 / determinant
     nuu, nuv, nvv = scale * (total - shrunk * er), -scale * shrunk * ei, scale * (total + shrunk * er)
     luu, luv, lvv = 0.5 * (learned + shrunk * lr), 0.5 * shrunk * li, 0.5 * (learned - shrunk * lr)
-    cuu = nuu * nuu * luu + 2.0 * nuu * nuv * luv + nuv * nuv * lvv
-    cuv = nuu * nuv * luu + (nuu * nvv + nuv * nuv) * luv + nuv * nvv * lvv
-    cvv = nuv * nuv * luu + 2.0 * nuv * nvv * luv + nvv * nvv * lvv
+    cuu, cuv, cvv = sandwich(nuu, nuv, nvv, luu, luv, lvv)
     return u, v, cuu, cuv, cvv, chi2, int(used)
+
+
+@vectorised
+def sandwich(nuu: float, nuv: float, nvv: float, luu: float, luv: float, lvv: float) -> tuple[float, float, float]:
+    """Return the entries uu, uv, vv of N L N, of symmetric matrices N and L (2, 2)."""
+    return (
+        nuu * nuu * luu + 2.0 * nuu * nuv * luv + nuv * nuv * lvv,
+        nuu * nuv * luu + (nuu * nvv + nuv * nuv) * luv + nuv * nvv * lvv,
+        nuv * nuv * luu + 2.0 * nuv * nvv * luv + nvv * nvv * lvv,
+    )
 
 
 def fit(ranges: Floats, angles: Floats, noise: Noise) -> LineFit:

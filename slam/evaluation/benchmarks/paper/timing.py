@@ -15,7 +15,12 @@ import numpy as np
 from numba import njit
 
 from features import ESTIMATORS, Noise
-from features.arras_siegwart import direction_by_double_sums, direction_by_single_sums, polar_line
+from features.arras_siegwart import (
+    direction_by_double_sums,
+    direction_by_single_sums,
+    polar_covariance,
+    polar_line,
+)
 from features.corner import intersect
 from features.estimators import SIADAT, WCLM, fit_by_code
 from features.line_fit import ray_arrays
@@ -167,8 +172,10 @@ def _polar(double: bool, one: Floats, two: Floats, sr: float, sb: float) -> Corn
     else:
         n1, d1 = direction_by_single_sums(one[0], one[1], one[2])
         n2, d2 = direction_by_single_sums(two[0], two[1], two[2])
-    r1, a1, vr1, vra1, va1 = polar_line(one[0], one[1], one[2], n1, d1, sr, sb)
-    r2, a2, vr2, vra2, va2 = polar_line(two[0], two[1], two[2], n2, d2, sr, sb)
+    line1, line2 = polar_line(one[0], one[1], one[2], n1, d1), polar_line(two[0], two[1], two[2], n2, d2)
+    vr1, vra1, va1 = polar_covariance(one[0], one[1], one[2], n1, d1, line1, sr, sb)
+    vr2, vra2, va2 = polar_covariance(two[0], two[1], two[2], n2, d2, line2, sr, sb)
+    (r1, a1), (r2, a2) = line1[:2], line2[:2]
     ca1, sa1, ca2, sa2 = math.cos(a1), math.sin(a1), math.cos(a2), math.sin(a2)
     sine = sa2 * ca1 - ca2 * sa1
     x, y = (r1 * sa2 - r2 * sa1) / sine, (r2 * ca1 - r1 * ca2) / sine
