@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
-from drivers.compiled import compiled
+from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
@@ -105,60 +105,79 @@ def _align_submap(  # type: ignore[no-untyped-def]
     near = _find_near_walls(start, frames, halves, walls, wall_halves)
     for step in range(len(SUBMAP_OFFSET_GATES)):
         last = step == len(SUBMAP_OFFSET_GATES) - 1
+        offset_gate, heading_gate = SUBMAP_OFFSET_GATES[step], SUBMAP_HEADING_GATES[step]
         information, gradient = np.zeros((3, 3)), np.zeros(3)
         for k in range(3):
             information[k, k] = ALIGNMENT_REGULARISATION
         c, s = math.cos(pose[2]), math.sin(pose[2])
         for i in range(len(frames)):
-            lever = np.array([c * frames[i, 0] - s * frames[i, 1], s * frames[i, 0] + c * frames[i, 1]])
+            lever_x, lever_y = c * frames[i, 0] - s * frames[i, 1], s * frames[i, 0] + c * frames[i, 1]
             heading = frames[i, 2] + pose[2]
             for j in near:
                 turned = wrap_angle(heading - walls[j, 2])
-                if abs(turned) > SUBMAP_HEADING_GATES[step]:
+                if abs(turned) > heading_gate:
                     continue
-                nx, ny = -math.sin(walls[j, 2]), math.cos(walls[j, 2])
-                dx, dy = pose[0] + lever[0] - walls[j, 0], pose[1] + lever[1] - walls[j, 1]
-                along, across = ny * dx - nx * dy, nx * dx + ny * dy
-                low, high = max(along - halves[i], -wall_halves[j]), min(along + halves[i], wall_halves[j])
-                shared = 0.5 * (low + high) - along  # along the submap's wall: the middle of the overlap
-                offset = across + shared * math.sin(turned)
-                if high <= low or abs(offset) > SUBMAP_OFFSET_GATES[step]:
-                    continue
-                w_across, w_both, w_turn = _relative_information(
-                    covariances[i], shared, wall_covariances[j], along + shared, high - low
+                along, low, high, shared, offset = _overlap(
+                    pose[0] + lever_x, pose[1] + lever_y, turned, halves[i], walls[j], wall_halves[j]
                 )
-                taper = (1 - (offset / SUBMAP_OFFSET_GATES[step]) ** 2) * (
-                    1 - (turned / SUBMAP_HEADING_GATES[step]) ** 2
-                )  # Tukey's biweight
-                weight = taper**2
-                px, py = lever[0] + shared * math.cos(heading), lever[1] + shared * math.sin(heading)
-                by_turn = px * ny - py * nx  # the derivatives of the offset by the pose are (nx, ny, by_turn)
-                both = w_across * by_turn + w_both
-                information[0, 0] += weight * w_across * nx * nx
-                information[0, 1] += weight * w_across * nx * ny
-                information[1, 1] += weight * w_across * ny * ny
-                information[0, 2] += weight * both * nx
-                information[1, 2] += weight * both * ny
-                information[2, 2] += weight * (both * by_turn + w_both * by_turn + w_turn)
-                force = weight * (w_across * offset + w_both * turned)
-                gradient[0] += force * nx
-                gradient[1] += force * ny
-                gradient[2] += force * by_turn + weight * (w_both * offset + w_turn * turned)
-                if not last:
+                if high <= low or abs(offset) > offset_gate:
                     continue
-                _mark_matched_samples(
-                    on_map, samples, own_first[i], own_first[i + 1], along, turned, stretches[first[j] : first[j + 1]]
-                )
-                if high - low > most[i]:
-                    most[i], matches[i] = high - low, j
-        information[1, 0], information[2, 0], information[2, 1] = (
-            information[0, 1],
-            information[0, 2],
-            information[1, 2],
-        )
+                weight = ((1 - (offset / offset_gate) ** 2) * (1 - (turned / heading_gate) ** 2)) ** 2  # Tukey's
+                pair = _relative_information(covariances[i], shared, wall_covariances[j], along + shared, high - low)
+                px, py = lever_x + shared * math.cos(heading), lever_y + shared * math.sin(heading)
+                _add_pair(information, gradient, weight, pair, px, py, walls[j, 2], offset, turned)
+                if last:
+                    ends = stretches[first[j] : first[j + 1]]
+                    _mark_matched_samples(on_map, samples, own_first[i], own_first[i + 1], along, turned, ends)
+                    if high - low > most[i]:
+                        most[i], matches[i] = high - low, j
+        information[1, 0], information[2, 0] = information[0, 1], information[0, 2]
+        information[2, 1] = information[1, 2]
         if not last:
             pose -= solve(information, gradient)
     return pose, information, matches, on_map
+
+
+@inlined
+def _overlap(x, y, turned, half, wall, wall_half):  # type: ignore[no-untyped-def]
+    """Compare a wall of the submap, whose frame is at (x, y) in the map and turned from that of the map's wall.
+
+    Returns metres: along the map's wall from its frame to the other one, and to both ends of the overlap (low is
+    greater without one); along the submap's wall from its frame to the middle of the overlap; and the offset there.
+    """
+    nx, ny = -math.sin(wall[2]), math.cos(wall[2])
+    dx, dy = x - wall[0], y - wall[1]
+    along, across = ny * dx - nx * dy, nx * dx + ny * dy
+    low, high = max(along - half, -wall_half), min(along + half, wall_half)
+    shared = 0.5 * (low + high) - along
+    return along, low, high, shared, across + shared * math.sin(turned)
+
+
+@inlined
+def _add_pair(  # type: ignore[no-untyped-def]
+    information, gradient, weight, pair, px, py, direction, offset, turned
+):
+    """Add a pair of walls to the normal equations of the pose.
+
+    pair              its information on offset and heading, see `_relative_information`
+    px, py            from the submap's origin to the middle of the overlap, in the map's axes
+    direction         of the map's wall
+    offset, turned    of the submap's wall relative to it
+    """
+    w_across, w_both, w_turn = pair
+    nx, ny = -math.sin(direction), math.cos(direction)
+    by_turn = px * ny - py * nx  # the derivatives of the offset by the pose are (nx, ny, by_turn)
+    both = w_across * by_turn + w_both
+    information[0, 0] += weight * w_across * nx * nx
+    information[0, 1] += weight * w_across * nx * ny
+    information[1, 1] += weight * w_across * ny * ny
+    information[0, 2] += weight * both * nx
+    information[1, 2] += weight * both * ny
+    information[2, 2] += weight * (both * by_turn + w_both * by_turn + w_turn)
+    force = weight * (w_across * offset + w_both * turned)
+    gradient[0] += force * nx
+    gradient[1] += force * ny
+    gradient[2] += force * by_turn + weight * (w_both * offset + w_turn * turned)
 
 
 @compiled
