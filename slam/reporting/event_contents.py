@@ -116,6 +116,13 @@ def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> C
 
 
 def _sizes(mapper: Mapper) -> dict[str, int]:
-    """Return the sizes of the map."""
+    """Return the numbers of walls and corners that are confirmed and neither merged nor removed, and of keyframes."""
     landmarks = mapper.landmarks
-    return {"walls": len(landmarks.walls), "corners": len(landmarks.corners), "keyframes": mapper.keyframe_count}
+    walls = landmarks.walls.rows["in_graph"] & landmarks.active()
+    confirmed = np.flatnonzero(landmarks.corners.rows["in_graph"])
+    corners = landmarks.active_corners(confirmed)
+    return {
+        "walls": int(walls.sum()),
+        "corners": int(corners.sum()),
+        "keyframes": mapper.keyframe_count,
+    }

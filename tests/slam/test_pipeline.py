@@ -154,6 +154,15 @@ def test_events_are_complete_and_in_order(drive: list[Message]) -> None:
     assert set(finished.walls.identity) <= seen
 
 
+def test_walls_are_counted_while_mapping_as_in_the_finished_map(drive: list[Message]) -> None:
+    listener = EventCollector()
+    finished = run(drive, listener=listener)
+    counts = [event.counts for event in listener.of(KeyframeAdded)]
+    assert counts[0] == {"walls": 0, "corners": 0, "keyframes": 1}  # one keyframe confirms no wall
+    assert counts[-1]["walls"] == len(finished.walls)
+    assert counts[-1]["corners"] == len(finished.corners)
+
+
 def test_repeated_runs_with_and_without_sinks_are_identical(drive: list[Message], drive_result: Finished) -> None:
     again = run(drive, listener=EventCollector())
     assert again.poses.tobytes() == drive_result.poses.tobytes()
