@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.core import TyperGroup
@@ -46,23 +46,35 @@ UsageError: Any = typer.BadParameter.__mro__[1]
 class _Commands(TyperGroup):
     """Commands that report mistakes as one line and an exit status; other exceptions are bugs and are raised."""
 
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        try:
+            return super().parse_args(ctx, args)
+        except UsageError as error:
+            _report_usage(error, ctx.command_path)
+
     def invoke(self, ctx: Any) -> Any:
         try:
             return super().invoke(ctx)
         except UsageError as error:
-            text = error.format_message()
-            if error.ctx is None or not text:  # a group of commands without arguments, which has printed its help
-                raise
-            text = text.replace("Value error, ", "")  # a prefix of pydantic, which says nothing
-            separator = "" if text.endswith("?") else ";"
-            print_message(f"{text.rstrip('.')}{separator} see {error.ctx.command_path} --help")
-            raise typer.Exit(EXIT_USER_ERROR) from error
+            called = f"{ctx.command_path} {ctx.invoked_subcommand}"  # the parser of options does not know the command
+            _report_usage(error, error.ctx.command_path if error.ctx else called)
         except SlamError as error:
             print_message(str(error))
             raise typer.Exit(EXIT_USER_ERROR) from error
         except KeyboardInterrupt as error:
             print_message("interrupted; nothing was written")
             raise typer.Exit(EXIT_INTERRUPTED) from error
+
+
+def _report_usage(error: Any, command: str) -> NoReturn:
+    """Report a mistake in the arguments of a command as one line, with where its help is."""
+    text = error.format_message()
+    if not text:  # a group of commands without arguments, which has printed its help
+        raise error
+    text = text.replace("Value error, ", "")  # a prefix of pydantic, which says nothing
+    separator = "" if text.endswith("?") else ";"
+    print_message(f"{text.rstrip('.')}{separator} see {command} --help")
+    raise typer.Exit(EXIT_USER_ERROR) from error
 
 
 app = typer.Typer(

@@ -236,11 +236,16 @@ def test_invalid_recordings_are_one_line_errors(
         ("eval a.tum", "exactly one of the two is required"),
         ("bench nothing", "No such command 'nothing'"),
         ("run a.clf --bogus", "No such option: --bogus"),
+        ("run a.clf --out", "Option '--out' requires an argument"),
     ],
 )
 def test_wrong_arguments_are_one_line_errors_that_name_the_help(wclm: Any, command: str, words: str) -> None:
     name = command.split()[0]
     wclm.refuses(*command.split(), because=[words, f"{name} --help"])
+
+
+def test_a_wrong_option_without_a_command_is_a_one_line_error(wclm: Any) -> None:
+    wclm.refuses("--bogus", because=["No such option: --bogus; see ", " --help"])
 
 
 @pytest.mark.parametrize("command", ["run", "info", "map", "measure", "review", "simulate", "eval", "batch", "merge"])
