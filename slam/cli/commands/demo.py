@@ -50,7 +50,7 @@ def demo(
     from ..run_summary import format_summary
     from ..slam_run import run_slam
     from ..viewer import has_display, open_viewer, viewer_command
-    from .demo_pictures import ClosureRecorder
+    from .demo_recorders import ClosureRecorder
 
     simulation = Simulation(WORLD, seed=seed, lidar=LIDAR_MODELS[LIDAR], wheels=WHEEL_MODELS[WHEELS])
     run_input = RecordingInput(simulation, reopen=f"sim:{WORLD}?lidar={LIDAR}&odometry={WHEELS}&seed={seed}")

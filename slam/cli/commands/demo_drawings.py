@@ -39,6 +39,14 @@ def draw_measurements(path: Path, session: Path) -> None:
     write_svg(path, read_run_results(session), measure_all(read_wall_map(session)))
 
 
+def draw_map(path: Path, session: Path) -> None:
+    """Draw a map with its confidence map as `wclm map --format svg` does. Raises SlamError."""
+    from ...io.exports import write_svg
+    from ...io.run_results import read_run_results
+
+    write_svg(path, read_run_results(session))
+
+
 def draw_changes(path: Path, old: Path, new: Path) -> None:
     """Draw the differences between the maps of two runs as `wclm diff --svg` does. Raises SlamError."""
     from ...io.sessions import read_session

@@ -11,18 +11,16 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ...errors import MapError
-from ...events import Event, GroundTruthReceived, LoopDecided, MapUpdated, Sink, StateChanged
+from ...events import Sink, StateChanged
 from ...io.output_dir import KEYFRAMES, PICTURE
-from ...io.tum import Trajectory
-from ...loop_closure.loop_status import LoopStatus
 from ..output_files import make_directory
 from .demo_buildings import draw_office_changes, draw_office_plan, draw_second_half
-from .demo_drawings import draw_changes, draw_forbidden_loop, draw_grid, draw_measurements
+from .demo_drawings import draw_changes, draw_forbidden_loop, draw_grid, draw_map, draw_measurements
+from .demo_recorders import ClosureRecorder, EventRecorder
 
 if TYPE_CHECKING:
     from drivers.messages import Source
@@ -33,6 +31,8 @@ OFFICE = "sim:office"
 SCAN = 420
 """Index of a scan of the office that shows a furnished room and a part of the corridor."""
 LOOP = "sim:museum?lidar=short&odometry=bad"
+OPEN_LOOP = f"{LOOP}&duration=110"
+"""The same drive before it is back at its start."""
 CORRIDORS = {
     "40 m of corridor with doors": "sim:corridor?lidar=short",
     "80 m of bare corridor": "sim:bare_corridor?lidar=short",
@@ -69,8 +69,6 @@ PICTURE_DOTS_PER_INCH = 115
 COLOURS, SHADES = 200, 256
 """Size of a picture's palette; enough for anti-aliased lines, and reduces the file to a third. More if it is shaded."""
 
-Kind = TypeVar("Kind")
-
 
 class PictureSet(NamedTuple):
     """Pictures of one run.
@@ -85,57 +83,6 @@ class PictureSet(NamedTuple):
     make: Callable[[Path, Path], None]
     shaded: bool = False
     needs: tuple[Path, ...] = ()
-
-
-class ClosureRecorder:
-    """Sink that keeps the closure that moved the robot most, and the map right after it."""
-
-    handled: ClassVar[tuple[type[Event], ...]] = (LoopDecided, MapUpdated)
-
-    def __init__(self) -> None:
-        self.decided: LoopDecided | None = None
-        self.after: MapUpdated | None = None
-
-    def handle(self, event: Event) -> None:
-        """Process one event."""
-        if isinstance(event, LoopDecided) and event.status == LoopStatus.ACCEPTED:
-            if self.decided is None or event.shift > self.decided.shift:
-                self.decided, self.after = event, None
-        elif isinstance(event, MapUpdated) and self.after is None and self.decided is not None:
-            self.after = event
-
-    @property
-    def found(self) -> bool:
-        """True if a loop was closed."""
-        return self.after is not None
-
-    def plot(self, path: Path) -> None:
-        """Draw the map before and after the closure. Raises MapError if there was none, and OutputError."""
-        from ...visualisation.plots.run_plots import plot_closure
-
-        if self.decided is None or self.after is None:
-            raise MapError("no loop was closed")
-        plot_closure(path, self.decided, self.after)
-
-
-class EventRecorder:
-    """Sink that keeps all events."""
-
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-
-    def handle(self, event: Event) -> None:
-        """Keep one event."""
-        self.events.append(event)
-
-    def of(self, kind: type[Kind]) -> list[Kind]:
-        """Return all events of one kind, in their order."""
-        return [event for event in self.events if isinstance(event, kind)]
-
-    def truth(self) -> Trajectory:
-        """Return the true trajectory, in the world's frame."""
-        events = self.of(GroundTruthReceived)
-        return Trajectory(np.array([event.stamp for event in events]), np.array([event.pose for event in events]))
 
 
 def picture_sets(datasets: Path | None) -> list[PictureSet]:
@@ -156,6 +103,7 @@ def all_picture_sets(datasets: Path) -> list[PictureSet]:
         PictureSet(("scan.png",), _scan),
         PictureSet(("honesty.png",), _office),
         PictureSet(("museum.png", "loop.png"), _loop),
+        PictureSet(("confidence.svg",), _open_loop),
         PictureSet(("corridors.png",), _corridors),
         *(_symptom(name, *symptom) for name, symptom in SYMPTOMS.items()),
         *(_recorded(name, datasets / name / f"{name}.clf") for name in RECORDINGS),
@@ -231,6 +179,12 @@ def _loop(directory: Path, scratch: Path) -> None:
     _map(LOOP, scratch / "out", title="A simulated museum", sinks=[closure])
     (directory / "museum.png").write_bytes((scratch / "out" / PICTURE).read_bytes())
     closure.plot(directory / "loop.png")
+
+
+def _open_loop(directory: Path, scratch: Path) -> None:
+    """Draw the map of the drive before its loop is closed, with its confidence map."""
+    _map(OPEN_LOOP, scratch / "out")
+    draw_map(directory / "confidence.svg", scratch / "out")
 
 
 def _corridors(directory: Path, scratch: Path) -> None:

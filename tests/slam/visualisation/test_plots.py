@@ -6,7 +6,7 @@ import pytest
 
 from drivers import se2
 from features.types import Corners, Features, Lines, Noise
-from slam.cli.commands.demo_pictures import ClosureRecorder
+from slam.cli.commands.demo_recorders import ClosureRecorder
 from slam.errors import MapError, OutputError
 from slam.evaluation.metrics import Relations, score_reference, score_relations
 from slam.events import Correction, Finished, LoopDecided, MapUpdated
