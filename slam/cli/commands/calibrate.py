@@ -50,6 +50,8 @@ def calibrate(
     from ...io.recordings import lidar_selection
     from ...offline.calibration.extrinsics import calibrate as estimate
 
+    if (wheel_radius is None) != (track is None):
+        raise typer.BadParameter("both or none are required", param_hint="--wheel-radius / --track")
     effective = load_config(config, settings or ())
     source = drivers.open(recording, lidar_selection(effective.lidar))
     timing = RecordingTiming.of(source, effective.lidar)
@@ -57,42 +59,50 @@ def calibrate(
         result = estimate(progress(source, len(source), "reading"), timing.compensated(effective))
     except MapError as error:
         raise MapError(f"{recording}: {error}") from error
-    typer.echo("\n".join([*_lines(result), *_timing_lines(timing)]))
-    if wheel_radius is not None and track is not None:
-        typer.echo(_options(result, wheel_radius, track))
+    wheels = None if wheel_radius is None or track is None else (wheel_radius, track)
+    typer.echo("\n".join([*_estimates(result, timing), *_options(result, timing, wheels)]))
 
 
-def _lines(result: Calibration) -> list[str]:
+def _estimates(result: Calibration, timing: RecordingTiming) -> list[str]:
+    """Return a line for each estimate, with standard errors, and one for the data that it rests on."""
     x, y, heading = result.mount
     wheels, sigma = result.odometry, result.sigma
     bias, bias_sigma = result.range_bias
     return [
-        f"mount     {x:.4f} ± {sigma[0]:.4f} m, {y:.4f} ± {sigma[1]:.4f} m, {heading:.4f} ± {sigma[2]:.4f} rad",
+        f"mount     {x:z.4f} ± {sigma[0]:.4f} m, {y:z.4f} ± {sigma[1]:.4f} m, {heading:z.4f} ± {sigma[2]:.4f} rad",
         f"length    {wheels.length:.4f} ± {sigma[3]:.4f} m per metre of odometry",
         f"turning   {wheels.turning:.4f} ± {sigma[4]:.4f} rad per radian of odometry",
-        f"veer      {wheels.veer:.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
-        f"bias      {bias:.4f} ± {bias_sigma:.4f} m of the ranges",
+        f"veer      {wheels.veer:z.4f} ± {sigma[5]:.4f} rad to the left per metre, unmeasured by the odometry",
+        f"bias      {bias:z.4f} ± {bias_sigma:.4f} m of the ranges",
+        *_delay(timing),
         f"data      {result.pairs} motions between keyframes, {result.turned:.0f} rad of rotation",
-        f"wclm live: --lidar 'TYPE:PORT?mount={x:.4f},{y:.4f},{heading:.4f}'",
-        f"wclm run: --set 'lidar.mount=[{x:.4f},{y:.4f},{heading:.4f}]' --set lidar.range_bias={bias:.4f}",
     ]
 
 
-def _timing_lines(timing: RecordingTiming) -> list[str]:
-    """Return the lidar's delay, and the setting that compensates it or why none is needed, if a delay was found."""
+def _delay(timing: RecordingTiming) -> list[str]:
+    """Return the line for the lidar's delay, and why it is not compensated, if it is not; none if none was found."""
     if timing.delay is None:
         return []
     seconds, sigma, objection = timing.delay.seconds, timing.delay.sigma, timing.delay.objection
-    line = f"delay     {seconds:.4f} ± {sigma:.4f} s of the lidar against odometry"
-    if objection is not None:
-        return [f"{line}; not compensated: {objection}"]
-    return [line, f"wclm run: --set lidar.delay={seconds:.4f}"]
+    reason = "" if objection is None else f"; not compensated: {objection}"
+    return [f"delay     {seconds:z.4f} ± {sigma:.4f} s of the lidar against odometry{reason}"]
 
 
-def _options(result: Calibration, wheel_radius: float, track: float) -> str:
-    """Return the option of the base with corrected dimensions: the radius of each wheel and the track."""
-    wheels = result.odometry
-    true_track = track * wheels.length / wheels.turning
-    half = wheels.veer * true_track / 2
-    left, right = wheel_radius * (wheels.length - half), wheel_radius * (wheels.length + half)
-    return f"wclm live: --base 'TYPE:PORT?wheel_radius={left:.5f},{right:.5f}&track={true_track:.4f}'"
+def _options(result: Calibration, timing: RecordingTiming, wheels: tuple[float, float] | None) -> list[str]:
+    """Return the options that state the estimates.
+
+    wheels  radius of both wheels and the track with which the odometry was recorded, metres, if they are known
+    """
+    mount = ",".join(f"{value:z.4f}" for value in result.mount)
+    lines = [f"wclm live: --lidar 'TYPE:PORT?mount={mount}'"]
+    if wheels is not None:
+        radius, track = wheels
+        odometry = result.odometry
+        true_track = track * odometry.length / odometry.turning
+        half = odometry.veer * true_track / 2
+        left, right = radius * (odometry.length - half), radius * (odometry.length + half)
+        lines.append(f"wclm live: --base 'TYPE:PORT?wheel_radius={left:.5f},{right:.5f}&track={true_track:.4f}'")
+    settings = f"--set 'lidar.mount=[{mount}]' --set lidar.range_bias={result.range_bias[0]:z.4f}"
+    if timing.delay is not None and timing.delay.objection is None:
+        settings += f" --set lidar.delay={timing.delay.seconds:.4f}"
+    return [*lines, f"wclm run: {settings}"]

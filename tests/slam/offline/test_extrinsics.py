@@ -89,7 +89,7 @@ def test_command_prints_the_corrected_options(wclm: Any) -> None:
     result = wclm("calibrate", "sim:room?duration=35&seed=1&lidar=short", "--wheel-radius", "0.033", "--track", "0.35")
     assert result.exit_code == 0, result.output
     simulation = Simulation("room", seed=1, duration=35.0)
-    options = re.search(r"wheel_radius=([\d.]+),([\d.]+)&track=([\d.]+)'$", result.stdout.strip())
+    options = re.search(r"wheel_radius=([\d.]+),([\d.]+)&track=([\d.]+)'$", result.stdout, re.MULTILINE)
     assert options is not None
     left, right, track = (float(text) for text in options.groups())
     assert left == pytest.approx(0.033 / simulation.biases.left, rel=0.01)
