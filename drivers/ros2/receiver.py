@@ -12,7 +12,7 @@ import threading
 import time
 from collections import Counter, deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -37,11 +37,10 @@ from ..recordings.transforms import TransformTree, normalize_frame
 from .encoder import POSE_WITH_COVARIANCE
 from .inputs import Inputs
 from .link import DEFAULT, MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
+from .silence import Silence
 
 MAX_WAITING_SCANS = 40
 """Scans of each lidar that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
-SILENCE = 5.0
-"""Seconds without any message of a kind after which it is missing."""
 
 TOO_SLOW = "dropped, as scans arrive faster than they are processed"
 NO_MOUNT = "dropped, as no transform connects the scan's frame with the base"
@@ -58,18 +57,6 @@ what it takes to finish a map and to recognise the place of the robot in it; not
 
 _Kind: TypeAlias = tuple[type[Message], int]
 """Type of a message, and the number of the lidar."""
-
-
-@dataclass(slots=True)
-class Silence:
-    """Time of the last message of each kind, on the steady clock, and the frames of scans without a transform.
-
-    scans  of each lidar
-    """
-
-    scans: list[float]
-    odometry: float
-    unconnected: set[str] = field(default_factory=set)
 
 
 class RosReceiver:
@@ -97,7 +84,7 @@ class RosReceiver:
         self._reading: Odometry | None = None  # odometry in the message that is being added
         self._latest: dict[_Kind, float] = {}
         self._older: Counter[_Kind] = Counter()  # messages in a row that are older than the latest one
-        self._silence = Silence([time.monotonic() for _ in inputs.scan_topics], time.monotonic())
+        self._silence = Silence(len(inputs.scan_topics))
         self._changed, self._stopped = threading.Condition(), False
         subscribe = partial(self._subscribe, link)
         subscribe(inputs.static_transforms, TRANSFORMS, self._add_fixed, STATIC_TRANSFORMS)
@@ -160,29 +147,12 @@ class RosReceiver:
             self.clock_was_set_back = False
 
     def missing(self) -> list[str]:
-        """Return what has not arrived for SILENCE seconds, one line of text each, or cannot be used."""
-        now, inputs, silence, lines = time.monotonic(), self.inputs, self._silence, []
-        for topic, last in zip(inputs.scan_topics, silence.scans, strict=True):
-            if now - last > SILENCE:
-                lines.append(f"no scans on {topic}")
-        if inputs.uses_odometry and now - silence.odometry > SILENCE:
-            lines.append(self._missing_odometry())
+        """Return what has not arrived for some seconds, one line of text each, or cannot be used."""
         with self._changed:
-            older = max(self._older.values(), default=0)
-        if older >= CLOCK_CONFIRMATIONS:
-            lines.append("the clock of a sensor was set back; its messages are dropped until it has caught up")
-        for frame in sorted(silence.unconnected):
-            lines.append(f"no transform {inputs.base_frame} -> {frame}; scans are dropped until there is one")
-        return lines
-
-    def _missing_odometry(self) -> str:
-        inputs, others = self.inputs, sorted(self._tf_odometry.others)
-        if inputs.base:
-            return f"no odometry from {inputs.base}"
-        if inputs.odometry:
-            return f"no odometry on {inputs.odometry}"
-        hint = f", but to {', '.join(others)}: is base_frame set correctly?" if others else ""
-        return f"no transform {inputs.odometry_frame} -> {inputs.base_frame} on {inputs.transforms}{hint}"
+            lines = self._silence.missing(self.inputs, self._tf_odometry.others)
+            if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
+                lines.append("the clock of a sensor was set back; its messages are dropped until it has caught up")
+            return lines + self._silence.unusable(self.inputs)
 
     def _subscribe(self, link: Link, topic: str, msgtype: str, add: Callable[[Any, int], None], qos: QoS) -> None:
         def receive(data: bytes) -> None:
@@ -233,7 +203,7 @@ class RosReceiver:
         self._put(yaw_rate_of(message, received, axis))
 
     def _add_scan(self, lidar: int, message: Any, received: int) -> None:
-        self._silence.scans[lidar] = time.monotonic()
+        self._silence.scan_arrived(lidar)
         self._scans[lidar] += 1
         is_set = self.inputs.second_mount_is_set if lidar else self.inputs.mount_is_set
         mount = self._mount(message.header.frame_id, needed=not is_set)
@@ -266,7 +236,7 @@ class RosReceiver:
         return self._mounts[frame]
 
     def _put_odometry(self, reading: Odometry) -> None:
-        self._silence.odometry = time.monotonic()
+        self._silence.odometry_arrived()
         if self._put(reading):
             self._reading = reading
 

@@ -9,7 +9,7 @@ from drivers import se2
 from drivers.messages import Odometry, Scan
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS
-from drivers.ros2 import receiver as receiver_module
+from drivers.ros2 import silence as silence_module
 from drivers.ros2.inputs import Inputs
 from drivers.ros2.link import STATIC_TRANSFORMS, QoS
 from drivers.ros2.receiver import LATE, MAX_WAITING_SCANS, NO_MOUNT, PAUSED, TOO_SLOW, RosReceiver
@@ -128,13 +128,13 @@ def test_scans_wait_for_their_transform(link: MemoryLink, robot: Robot) -> None:
 
 def test_missing_topics_are_named(link: MemoryLink, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
-    monkeypatch.setattr(receiver_module.time, "monotonic", lambda: now)
+    monkeypatch.setattr(silence_module.time, "monotonic", lambda: now)
     receiver = RosReceiver(link, Inputs(mount_is_set=True))
     robot = Robot(link)
     robot.scan(1.0)
     robot.move(1.0, np.zeros(3))
     assert receiver.missing() == []
-    now += receiver_module.SILENCE + 1.0
+    now += silence_module.SILENCE + 1.0
     assert receiver.missing() == ["no scans on /scan", "no transform odom -> base_footprint on /tf"]
     robot.move(2.0, np.zeros(3), child="base_link")
     assert receiver.missing()[1].endswith("on /tf, but to base_link: is base_frame set correctly?")
@@ -234,7 +234,7 @@ def test_scans_of_a_second_lidar_have_its_number_and_mount(link: MemoryLink, rob
 
 def test_a_missing_second_lidar_is_named(link: MemoryLink, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 100.0
-    monkeypatch.setattr(receiver_module.time, "monotonic", lambda: now)
+    monkeypatch.setattr(silence_module.time, "monotonic", lambda: now)
     receiver = RosReceiver(link, Inputs(second_scan="/rear/scan", uses_odometry=False, mount_is_set=True))
     now += 10.0
     Robot(link).scan(1.0)
