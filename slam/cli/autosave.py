@@ -77,12 +77,9 @@ class Autosave:
         began = time.monotonic()
         try:
             self._prepared = self._prepare()
-        except MapError as error:
-            if requested:
-                problem = f"{self._output.path}: not saved: {error}"
-                self._answer(problem)
-                self.report(problem)
-                print_message(problem)
+        except Exception as error:  # whatever it is, it must not end the run
+            if requested or not isinstance(error, MapError):
+                self._conclude(requested, f"{self._output.path}: not saved: {first_line(error)}")
             return
         self._thread = threading.Thread(target=self._save, args=(requested, began), name="autosave")
         self._thread.start()
@@ -91,22 +88,24 @@ class Autosave:
         """Save at the next `poll`. May be called from any thread."""
         self._requested = True
 
-    def _answer(self, problem: str) -> None:
-        self._output.announce(lambda before: replace(before, saves=before.saves + 1, save_problem=problem))
-
     def _handle_keys(self, keys: bytes) -> None:
         if SAVE_KEY in keys.lower():
             self.request()
 
     def _save(self, requested: bool, began: float) -> None:
-        before, self._problem = self._problem, self._write_prepared()
+        problem = self._write_prepared()
         return_freed_memory()  # else what a save has freed stays in gaps between what the run keeps
         took = time.monotonic() - began
         self._due = began + max(PERIOD, took / LARGEST_SHARE)
-        self._answer(self._problem)
-        self.report(self._problem or f"saved at {time.strftime('%H:%M:%S')}")
-        if self._problem and (requested or self._problem != before):
-            print_message(f"{self._problem}; the run goes on")
+        self._conclude(requested, problem)
+
+    def _conclude(self, requested: bool, problem: str) -> None:
+        """State the result of a save everywhere; `problem` is what was wrong, an empty text if nothing."""
+        before, self._problem = self._problem, problem
+        self._output.announce(lambda before: replace(before, saves=before.saves + 1, save_problem=problem))
+        self.report(problem or f"saved at {time.strftime('%H:%M:%S')}")
+        if problem and (requested or problem != before):
+            print_message(f"{problem}; the run goes on")
         elif requested:
             print_message(f"{self._output.path}: saved")
 

@@ -153,7 +153,7 @@ class InputStatistics:
         from ..io.sessions import Recording
 
         first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
-        return Recording(
+        return Recording.model_construct(
             name=run_input.name,
             path=run_input.reopen,
             shift=self.shift,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,10 +14,10 @@ import numpy as np
 
 from drivers import se2
 
-from ..errors import MapError
+from ..errors import MapError, first_line
 from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Finished
-from ..io.output_dir import PICTURE
+from ..io.output_dir import PICTURE, SESSION
 from ..io.run_results import write_results
 from ..io.tum import Trajectory
 from ..memory import return_code_of_imports, return_freed_memory
@@ -31,6 +33,9 @@ if TYPE_CHECKING:
 
 Write = Callable[[Path], None]
 """Function that writes results into a directory; it raises OSError."""
+NO_SESSION = "the session is not written, so the map cannot be continued, refined or corrected"
+NO_PLAN_DIFFERENCES = "the differences from the plan are not written"
+NO_PICTURE = "the picture of the map is not written"
 
 
 @dataclass(slots=True, eq=False)
@@ -60,7 +65,7 @@ class RunWriter:
         def write(place: Path) -> None:
             finished = copy.finished()
             summary = self._summarise(finished, copy.session, None, took, took, extended) | {"unfinished": True}
-            self._write(place, finished, summary, copy.session if extended else None)
+            self._write(place, finished, summary, _parts(copy.session if extended else None))
 
         return write
 
@@ -81,14 +86,14 @@ class RunWriter:
         if on_plan is not None:
             summary["plan"] = on_plan.summary
 
-        def write(place: Path) -> None:
-            self._write(place, finished, summary, slam.session if slam.extends_map else None)
-            if on_plan is not None:
-                on_plan.write(place)
-            if self.picture:
-                _draw(place / PICTURE, finished, self.statistics, score, self.run_input.name)
-
-        return summary, write
+        parts = _parts(slam.session if slam.extends_map else None)
+        if on_plan is not None:
+            parts[NO_PLAN_DIFFERENCES] = on_plan.write
+        if self.picture:
+            parts[NO_PICTURE] = lambda place: _draw(
+                place / PICTURE, finished, self.statistics, score, self.run_input.name
+            )
+        return summary, lambda place: self._write(place, finished, summary, parts)
 
     def _summarise(
         self,
@@ -126,13 +131,36 @@ class RunWriter:
             mounts.append((unknown if used is None else used).tolist())
         return mounts
 
-    def _write(self, place: Path, finished: Finished, summary: dict[str, Any], session: StoredSession | None) -> None:
-        """Write the results, and the session if there is anything new in it."""
-        from ..io.sessions import write_session
+    def _write(self, place: Path, finished: Finished, summary: dict[str, Any], parts: Mapping[str, Write]) -> None:
+        """Write the results, and before that `parts` that are not necessary for them, by the warning if one fails.
 
+        The warning is added to `summary`. Whatever the reason is, trajectory and map must not be lost by it. A full
+        disk is another matter: everything can be written in another place. Raises OSError.
+        """
+        for warning, write in parts.items():
+            try:
+                write(place)
+            except OSError:
+                raise
+            except Exception as error:
+                summary["warnings"] = [*summary["warnings"], f"{warning}: {type(error).__name__}: {first_line(error)}"]
         write_results(place, finished, self.setup.config, summary)
-        if session is not None:
-            write_session(place, session)
+
+
+def _parts(session: StoredSession | None) -> dict[str, Write]:
+    """Return the function that writes a session, if there is one, by the warning if it fails."""
+    return {} if session is None else {NO_SESSION: partial(_write_session, session)}
+
+
+def _write_session(session: StoredSession, place: Path) -> None:
+    """Write a session, or nothing of it."""
+    from ..io.sessions import write_session
+
+    try:
+        write_session(place, session)
+    except BaseException:
+        shutil.rmtree(place / SESSION, ignore_errors=True)
+        raise
 
 
 def score_against_truth(finished: Finished, statistics: InputStatistics) -> ReferenceScore | None:

@@ -22,9 +22,9 @@ def read_json(path: Path) -> Any:
         raise MapError(f"{path}: is not JSON: {first_line(error)}") from error
 
 
-def write_json(path: Path, data: dict[str, Any]) -> None:
+def write_json(path: Path, data: dict[str, Any], indent: int = 2) -> None:
     """Write `data` as standard JSON: NumPy numbers as plain ones, NaN and infinity as null. Raises OSError."""
-    path.write_text(json.dumps(to_json_types(data), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(to_json_types(data), indent=indent, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def to_json_types(value: Any) -> Any:

@@ -30,7 +30,7 @@ from drivers.validation import first_problem
 
 from ..errors import MapError
 from ..mapping.map_features import MapCorners, MapWalls
-from .json_files import read_json
+from .json_files import read_json, to_json_types
 
 FORMAT = "wclm-slam map"
 MAP_VERSION = 2
@@ -49,6 +49,8 @@ Matrix = tuple[tuple[Finite, Finite], tuple[Finite, Finite]]
 
 
 class _Record(BaseModel):
+    """Part of the file. Values are checked when it is read, and not when it is written: no map may be lost by that."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
@@ -95,37 +97,34 @@ class MapFile:
 
 
 def write_map(path: Path, walls: MapWalls, corners: MapCorners) -> None:
-    """Write the map; covariances that are not finite become null. Raises MapError if another value is not finite."""
+    """Write the map. Covariances that are not finite become null; so do other values, with which it cannot be read."""
     ends = walls.end_points()
-    try:
-        document = _Map(
-            lines=[
-                _Line(
-                    identity=int(walls.identity[k]),
-                    frame=_rounded(walls.frame[k]),
-                    low=_rounded(walls.low[k]),
-                    high=_rounded(walls.high[k]),
-                    start=_rounded(ends[k, 0]),
-                    end=_rounded(ends[k, 1]),
-                    pieces=_rounded(walls.pieces[k]),
-                    observations=int(walls.observations[k]),
-                    covariance=_matrix(walls.covariance[k]),
-                )
-                for k in range(len(walls))
-            ],
-            corners=[
-                _Corner(
-                    identity=int(corners.identity[k]),
-                    position=_rounded(corners.position[k]),
-                    lines=(int(corners.walls[k, 0]), int(corners.walls[k, 1])),
-                    observations=int(corners.observations[k]),
-                    covariance=_matrix(corners.covariance[k]),
-                )
-                for k in range(len(corners))
-            ],
-        )
-    except ValidationError as error:
-        raise MapError(f"{path}: the map cannot be written: {first_problem(error)}") from error
+    document = _Map.model_construct(
+        lines=[
+            _Line.model_construct(
+                identity=int(walls.identity[k]),
+                frame=_rounded(walls.frame[k]),
+                low=_rounded(walls.low[k]),
+                high=_rounded(walls.high[k]),
+                start=_rounded(ends[k, 0]),
+                end=_rounded(ends[k, 1]),
+                pieces=_rounded(walls.pieces[k]),
+                observations=int(walls.observations[k]),
+                covariance=_matrix(walls.covariance[k]),
+            )
+            for k in range(len(walls))
+        ],
+        corners=[
+            _Corner.model_construct(
+                identity=int(corners.identity[k]),
+                position=_rounded(corners.position[k]),
+                lines=(int(corners.walls[k, 0]), int(corners.walls[k, 1])),
+                observations=int(corners.observations[k]),
+                covariance=_matrix(corners.covariance[k]),
+            )
+            for k in range(len(corners))
+        ],
+    )
     path.write_text(_to_json(document), encoding="utf-8", newline="\n")
 
 
@@ -189,7 +188,7 @@ def _matrix(covariance: NDArray[np.float64]) -> Any:
 
 def _to_json(document: _Map) -> str:
     """Return JSON with one wall or corner per line, for reading and comparing with `diff`."""
-    data = document.model_dump(mode="json")
+    data = to_json_types(document.model_dump(warnings=False))
     parts = []
     for name, value in data.items():
         if isinstance(value, list):

@@ -57,16 +57,18 @@ class AgreementRecord(Record):
 
 def agreement_record(state: LoopAgreementState) -> AgreementRecord:
     """Return the record of a state."""
-    return AgreementRecord(
+    return AgreementRecord.model_construct(
         last_search=state.last_search,
         places=[
-            _Place(centre=centre, keyframes=place.keyframes.tolist(), poses=[to_pose(pose) for pose in place.poses])
+            _Place.model_construct(
+                centre=centre, keyframes=place.keyframes.tolist(), poses=[to_pose(pose) for pose in place.poses]
+            )
             for centre, place in state.places
         ],
         searched=list(state.searched),
         returns=list(state.returns),
         contradictions=list(state.contradictions),
-        hypotheses=[_Hypothesis(**_fields(hypothesis)) for hypothesis in state.hypotheses],
+        hypotheses=[_hypothesis_record(hypothesis) for hypothesis in state.hypotheses],
         candidates=state.candidates,
         retracted=[to_pose(motion) for motion in state.retracted],
     )
@@ -91,10 +93,10 @@ def agreement_state(record: AgreementRecord) -> LoopAgreementState:
     )
 
 
-def _fields(hypothesis: LoopHypothesis) -> dict[str, object]:
-    """Return the fields of a hypothesis' record."""
+def _hypothesis_record(hypothesis: LoopHypothesis) -> _Hypothesis:
+    """Return the record of a hypothesis."""
     support = [
-        _Match(
+        _Match.model_construct(
             keyframe=match.keyframe,
             old=match.old,
             relative=to_pose(match.relative),
@@ -105,12 +107,12 @@ def _fields(hypothesis: LoopHypothesis) -> dict[str, object]:
         )
         for match in hypothesis.support
     ]
-    return {
-        "motion": to_pose(hypothesis.motion),
-        "support": support,
-        "contradictions": hypothesis.contradictions,
-        "admitted": hypothesis.admitted,
-    }
+    return _Hypothesis.model_construct(
+        motion=to_pose(hypothesis.motion),
+        support=support,
+        contradictions=list(hypothesis.contradictions),
+        admitted=hypothesis.admitted,
+    )
 
 
 def _hypothesis(record: _Hypothesis) -> LoopHypothesis:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import reprlib
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -19,10 +18,10 @@ from ...localisation.slip_statistics import SlipStatistics
 from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.map_parts import MapParts
-from ..json_files import read_json
+from ..json_files import read_json, write_json
 from .agreement import AgreementRecord, agreement_record
 from .local_field import LocalFieldRecord, local_field_record, local_field_state
-from .records import Covariance, Finite, Pose, Record, to_matrix, to_pose, validated
+from .records import Covariance, Finite, Pose, Record, dumped, to_matrix, to_pose, validated
 from .sensor_models import SensorModelsRecord
 
 FORMAT = "wclm-slam session"
@@ -167,12 +166,14 @@ class SessionHeader(Record):
         `loops` and `joins` are the state of the search for loops, and of those for joins, by the group of parts that is
         searched.
         """
-        return cls(
+        return cls.model_construct(
             recordings=recordings,
             segment_starts=segment_starts,
             checkpoint=_checkpoint_record(checkpoint),
             agreement=agreement_record(loops),
-            graph=_Graph(updates=graph.updates, qr=graph.qr, range_bias=graph.bias, waiting=graph.waiting),
+            graph=_Graph.model_construct(
+                updates=graph.updates, qr=graph.qr, range_bias=graph.bias, waiting=graph.waiting
+            ),
             sensor_models=sensor_models,
             parts=_part_records(parts),
             joins={group: agreement_record(state) for group, state in joins.items()} if parts.apart else {},
@@ -201,11 +202,11 @@ class SessionHeader(Record):
 
 
 def _fix_record(fix: PoseFix) -> _PoseFix:
-    return _PoseFix(pose=to_pose(fix.pose), odometry=to_pose(fix.odometry))
+    return _PoseFix.model_construct(pose=to_pose(fix.pose), odometry=to_pose(fix.odometry))
 
 
 def _tracker_record(state: TrackerState) -> _Tracker:
-    return _Tracker(
+    return _Tracker.model_construct(
         fix=_fix_record(state.fix),
         reference=_fix_record(state.reference),
         since_fix=state.since_fix,
@@ -234,7 +235,7 @@ def _tracker_state(record: _Tracker) -> TrackerState:
 
 def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
     tracker = checkpoint.tracker
-    return _Checkpoint(
+    return _Checkpoint.model_construct(
         tracker=None if tracker is None else _tracker_record(tracker),
         field=local_field_record(checkpoint.field),
         anchor=_anchor_record(checkpoint.anchor),
@@ -247,7 +248,7 @@ def _checkpoint_record(checkpoint: TrackingCheckpoint) -> _Checkpoint:
 def _anchor_record(anchor: Anchor | None) -> AnchorRecord | None:
     if anchor is None:
         return None
-    return AnchorRecord(
+    return AnchorRecord.model_construct(
         keyframe=anchor.keyframe,
         relative=to_pose(anchor.relative),
         covariance=to_matrix(anchor.covariance),
@@ -266,14 +267,14 @@ def _part_records(parts: MapParts) -> list[_Part]:
     if len(parts) == 1:
         return []
     return [
-        _Part(first=first, group=group, measured=measured)
+        _Part.model_construct(first=first, group=group, measured=measured)
         for first, group, measured in zip(parts.firsts, parts.groups, parts.measured, strict=True)
     ]
 
 
 def write_header(file: Path, header: SessionHeader) -> None:
     """Write `session.json`. Raises OSError."""
-    file.write_text(json.dumps(header.model_dump(mode="json"), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_json(file, dumped(header), indent=1)
 
 
 def read_header(file: Path) -> SessionHeader:

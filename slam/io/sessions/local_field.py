@@ -53,7 +53,7 @@ class LocalFieldRecord(Record):
 def local_field_record(state: LocalFieldState) -> LocalFieldRecord:
     """Return the record of a state."""
     following = state.successor
-    return LocalFieldRecord(
+    return LocalFieldRecord.model_construct(
         centre=_to_position(state.centre),
         links=list(state.links),
         gaps=sorted(state.gaps.items()),
@@ -61,7 +61,7 @@ def local_field_record(state: LocalFieldState) -> LocalFieldRecord:
         inserted_poses=[to_pose(pose) for pose in state.inserted_poses],
         successor=None
         if following is None
-        else _FieldSuccessor(
+        else _FieldSuccessor.model_construct(
             centre=_to_position(following.centre),
             keyframes=list(following.keyframes),
             poses=[to_pose(pose) for pose in following.poses],

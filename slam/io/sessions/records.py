@@ -42,7 +42,11 @@ InvertibleCovariance = Annotated[Matrix, AfterValidator(_positive_definite)]
 
 
 class Record(BaseModel):
-    """Part of a JSON file of a session. Unknown keys are errors."""
+    """Part of a JSON file of a session. Unknown keys are errors.
+
+    Values are checked when a file is read. A record to be written is made with `model_construct`, which checks nothing:
+    an unusual value must not cost the results of a drive.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -56,6 +60,11 @@ def validated(kind: type[Kind], data: Any, file: Path) -> Kind:
         return kind.model_validate(data)
     except ValidationError as error:
         raise MapError(f"{file}: {first_problem(error)}") from error
+
+
+def dumped(record: Record) -> dict[str, Any]:
+    """Return the content of a JSON file that consists of a record, whatever its values are."""
+    return record.model_dump(warnings=False)
 
 
 def to_pose(pose: Floats) -> Pose:

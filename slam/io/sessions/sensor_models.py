@@ -43,7 +43,7 @@ class SensorModelsRecord(Record):
         cls, noise: LearnedNoise, odometry_samples: Floats, roughness_samples: Floats, second_noise: LearnedNoise | None
     ) -> SensorModelsRecord:
         """Make the record from the noise of a ray of each lidar, the second one None if there is none, and samples."""
-        return cls(
+        return cls.model_construct(
             **_values(noise),
             odometry_samples=odometry_samples.tolist(),
             roughness_samples=roughness_samples.tolist(),
@@ -75,7 +75,7 @@ class SensorModelsRecord(Record):
         return {name: value for name, value in fields.items() if value is not None}
 
 
-def _values(noise: LearnedNoise, prefix: str = "") -> dict[str, float]:
+def _values(noise: LearnedNoise, prefix: str = "") -> dict[str, Any]:
     """Return the values of the noise of a ray by the names of their fields; weights only if they are known."""
     values = {
         "sigma_range": noise.sigma_range,

@@ -17,7 +17,7 @@ from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation
 from slam.cli import viewer
 from slam.errors import MapError
-from slam.io.output_dir import CLOSURE_PICTURE, RESULTS
+from slam.io.output_dir import CLOSURE_PICTURE, PICTURE, RESULTS, SESSION
 from slam.io.tum import read_tum
 from slam.offline.calibration.extrinsics import Calibration, OdometryCorrection
 
@@ -122,6 +122,26 @@ def test_run_writes_all_results_and_prints_the_directory(wclm: Any, fake_slam: t
     ):
         assert words in text
     assert "rerun" not in text
+
+
+def test_a_part_of_the_results_that_cannot_be_written_costs_no_other(
+    wclm: Any, fake_slam: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise ValueError("an odd value")
+
+    monkeypatch.setattr("slam.io.sessions.session.write_factors", fail)
+    monkeypatch.setattr("slam.visualisation.plots.plot_map", fail)
+    result = wclm("run", SHORT, "--out", "out", "--no-review", "--plot")
+    assert result.exit_code == 0, result.output
+    assert {file.name for file in (tmp_path / "out").iterdir()} == RESULTS - {"review.rrd", PICTURE, SESSION}
+    warnings = [
+        "the session is not written, so the map cannot be continued, refined or corrected: ValueError: an odd value",
+        "the picture of the map is not written: ValueError: an odd value",
+    ]
+    assert json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"] == warnings
+    for warning in warnings:
+        assert re.search(rf"warning +{re.escape(warning)}$", result.stdout, re.MULTILINE)
 
 
 def test_info_and_run_state_how_a_recording_is_read(wclm: Any, fake_slam: type, tmp_path: Path) -> None:

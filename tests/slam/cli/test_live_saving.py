@@ -154,6 +154,21 @@ def test_a_failing_save_does_not_end_the_run(
     assert message.endswith("; the run goes on")
 
 
+def test_a_state_that_cannot_be_copied_does_not_end_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("slam.cli.autosave.PERIOD", 0.0)
+
+    def prepare() -> Callable[[Path], None]:
+        raise ValueError("a bug")
+
+    output = OutputDirectory(tmp_path / "map")
+    with output, Autosave(output, prepare, TerminalKeys()) as autosave:
+        autosave.poll()
+        autosave.poll()
+    assert capsys.readouterr().err == f"wclm: {tmp_path / 'map'}: not saved: a bug; the run goes on\n"
+
+
 def test_the_memory_that_a_save_needed_is_returned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also that of the copy of the run, which grows with the drive."""
     steps: list[str] = []

@@ -2,20 +2,22 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from drivers import se2
+from drivers import Odometry, se2
 from drivers.simulation import Simulation
 from features import LearnedNoise
 from slam import Slam
 from slam.config import LidarConfig
+from slam.errors import MapError
 from slam.graph.graph_storage import graph_state
 from slam.io.output_dir import SESSION
-from slam.io.sessions import StoredSession, is_session, read_session
+from slam.io.sessions import Recording, StoredSession, is_session, read_session
 from slam.io.sessions.session import HEADER, RECENT_KEYFRAMES, SCANS
 from slam.loop_closure.decision import LoopMatch
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
@@ -174,6 +176,36 @@ def test_arrays_of_features_are_contiguous_as_in_a_run(written: tuple[StoredSess
             segments, corners = scan.features.segments, scan.features.corners
             arrays = segments.frame, segments.half_length, segments.covariance, corners.covariance
             assert all(array.flags.c_contiguous for array in (*arrays, corners.position, corners.headings))
+
+
+@pytest.mark.parametrize(
+    ("first", "message"),
+    [
+        ([1e11, 0.0, 0.0], r"session\.json: checkpoint\.tracker\.fix\.odometry\.0: input should be less than"),
+        ([0.0, 0.0, 1e12], r"odometry\.parquet: the column heading has values beyond"),
+    ],
+)
+def test_a_session_is_written_whatever_its_values_are_and_the_reader_names_the_invalid_one(
+    tmp_path: Path, first: list[float], message: str
+) -> None:
+    slam = Slam()
+    for reading in Simulation("room", seed=3, duration=2.0):
+        slam.add(replace(reading, pose=reading.pose + first) if isinstance(reading, Odometry) else reading)
+    slam.finish()
+    write_directory(tmp_path, slam.session)
+    with pytest.raises(MapError, match=message):
+        read_session(tmp_path)
+
+
+def test_numbers_that_are_not_finite_are_null_in_the_header(tmp_path: Path) -> None:
+    slam = Slam()
+    for message in Simulation("room", seed=3, duration=2.0):
+        slam.add(message)
+    slam.finish()
+    slam.session.recordings.append(Recording.model_construct(name="a", path=None, first=np.nan, last=1.0))
+    write_directory(tmp_path, slam.session)
+    with pytest.raises(MapError, match=r"session\.json: recordings\.0\.first: input should be a valid number"):
+        read_session(tmp_path)
 
 
 def test_session_is_small(written: tuple[StoredSession, Path]) -> None:
