@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable, Iterator
@@ -57,7 +58,7 @@ class RecordingReader(ABC):
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
-        self.name = self.path.name
+        self.name = os.fsencode(self.path.name).decode(errors="replace")  # a name need not be UTF-8
         self.report = SourceReport()
         self.set_beam_times: BeamTimes | None = None
         self._survey: _Survey | None = None

@@ -90,4 +90,12 @@ def make_row(job: Job, status: Status, summary: dict[str, Any] | None = None, er
 def write_table(path: Path, rows: Iterable[Row]) -> None:
     """Write rows as a Parquet file, which replaces an older one atomically. Raises OutputError."""
     with unfinished_file(path, overwrite=True) as unfinished:
-        pq.write_table(pa.Table.from_pylist([asdict(row) for row in rows], SCHEMA), unfinished)
+        pq.write_table(pa.Table.from_pylist([_values(row) for row in rows], SCHEMA), unfinished)
+
+
+def _values(row: Row) -> dict[str, Any]:
+    """Return the values of a row; the names of files need not be UTF-8, but texts of the table must."""
+    values = asdict(row).items()
+    return {
+        name: value.encode(errors="replace").decode() if isinstance(value, str) else value for name, value in values
+    }

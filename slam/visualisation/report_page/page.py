@@ -30,7 +30,7 @@ def write_page(path: Path, session: RunResults, wall_map: WallMap | None = None)
     wall_map  walls with their joint covariance: two walls that are chosen are measured
     """
     try:
-        text = _page(session, wall_map).encode()
+        text = _page(session, wall_map).encode(errors="replace")  # the path of the recording need not be UTF-8
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
         raise MapError(f"{session.path}: not the summary of a run: {first_line(error)}") from error
     path.write_bytes(text)

@@ -144,6 +144,17 @@ def test_a_part_of_the_results_that_cannot_be_written_costs_no_other(
         assert re.search(rf"warning +{re.escape(warning)}$", result.stdout, re.MULTILINE)
 
 
+def test_a_recording_whose_name_is_not_utf_8_is_mapped(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
+    name = os.fsdecode(b"b\xfcro.mcap")
+    with McapWriter(tmp_path / name) as writer:
+        for message in Simulation("room", seed=0, duration=3.0):
+            writer.write(message)
+    assert "b\ufffdro.mcap" in wclm("info", name).stdout
+    result = wclm("run", name, "--out", "out", "--plot")
+    assert result.exit_code == 0, result.output
+    assert {file.name for file in (tmp_path / "out").iterdir()} == RESULTS
+
+
 def test_info_and_run_state_how_a_recording_is_read(wclm: Any, fake_slam: type, tmp_path: Path) -> None:
     """The log has stamps in milliseconds, and its odometry stands still while the scans change."""
     lines = []

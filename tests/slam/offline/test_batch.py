@@ -165,7 +165,7 @@ def test_table_has_a_row_for_every_recording(job: Job, tmp_path: Path) -> None:
     rows = [
         make_row(job, Status.DONE, summary),
         make_row(job, Status.FAILED, error="why"),
-        make_row(job, Status.WAITING),
+        make_row(replace(job, recording=os.fsdecode(b"b\xfcro.mcap")), Status.WAITING),
     ]
     for _ in range(2):  # the second replaces the first
         write_table(tmp_path / "batch.parquet", rows)
@@ -174,6 +174,7 @@ def test_table_has_a_row_for_every_recording(job: Job, tmp_path: Path) -> None:
     assert [row["error"] for row in read] == [None, "why", None]
     assert (read[0]["loops"], read[0]["scans"], read[0]["duration"], read[0]["memory"]) == (2, 600, 60.0, 300.0)
     assert read[1]["scans"] is None
+    assert read[2]["recording"] == "b?ro.mcap"
 
 
 # Workers
