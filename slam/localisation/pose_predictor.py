@@ -64,6 +64,11 @@ class PosePredictor:
         self._since_fix = None  # no slip is possible before the next fix
         self._tentative = self._alternative = self._before_slip = self._odometry_after_gap = None
 
+    def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
+        """Set the fix in a new part of the map, which may begin with scans that were tracked before."""
+        self.move_to(pose, odometry)
+        self._clock.start_again()
+
     def is_after_gap(self, taken: int, missing: int) -> bool:
         """Return True if scans are missing since the last fix, and the robot may have moved beyond the searched poses.
 

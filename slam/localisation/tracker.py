@@ -66,8 +66,8 @@ class Tracker:
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix in a part of the map that shows nothing yet."""
-        self.move_to(pose, odometry)
-        self._last_score = 0.0
+        self._predictor.start_again(pose, odometry)
+        self._untracked_in_a_row, self._last_score = 0, 0.0
 
     def replace_model(self, model: OdometryModel) -> None:
         """Use another error model of odometry from now on."""

@@ -102,7 +102,7 @@ class TrackerState:
     fix         last pose fix
     reference   from which odometry predicts
     since_fix   seconds from the last fix to the last scan; None if no slip is possible before the next fix
-    scan_stamp  seconds, of the last scan; None before the first
+    scan_stamp  seconds, of the last scan; None before the first one of a part of the map
     intervals   seconds between the latest scans, see `ScanClock`
     velocity    (3,) see `VelocityFilter`
     velocity_variances  (3,)

@@ -81,7 +81,7 @@ class ScanClock:
     turned evenly meanwhile, so the mean of the latest intervals is used then. If most scans are in bursts, the median
     is no period of a lidar either.
 
-    last  stamp of the last scan; None before the first
+    last  stamp of the last scan; None before the first, and after `start_again`
     """
 
     def __init__(self, last: float | None = None, intervals: Sequence[float] = ()) -> None:
@@ -97,8 +97,15 @@ class ScanClock:
         """Period of the lidar in seconds; there must have been two scans."""
         return sum(self._ordered) / len(self._ordered) if self._in_bursts else self._median
 
+    def start_again(self) -> None:
+        """Measure no interval to the next scan: it may be one of the scans so far, or follow a break."""
+        self.last = None
+
     def interval(self, stamp: float) -> float:
-        """Return the seconds from the last scan to one at `stamp`, which becomes the last; 0 for the first."""
+        """Return the seconds from the last scan to one at `stamp`, which becomes the last.
+
+        The result is 0 for the first scan, and for the first one after `start_again`.
+        """
         last, self.last = self.last, stamp
         if last is None:
             return 0.0

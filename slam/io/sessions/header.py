@@ -79,7 +79,7 @@ class _Tracker(Record):
     reference: _PoseFix
     since_fix: Finite | None
     scan_stamp: Finite | None
-    intervals: list[Finite]  # negative where a part of the map has begun with scans that were tracked before
+    intervals: list[Finite]  # earlier versions have written negative ones
     velocity: tuple[_Speed, _Speed, _Speed]
     velocity_variances: tuple[_Variance, _Variance, _Variance]
     prediction_variances: tuple[_PositiveVariance, _PositiveVariance, _PositiveVariance]

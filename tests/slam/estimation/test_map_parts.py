@@ -23,6 +23,7 @@ from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.convergence import converge
 from slam.mapping.part_gauge import PartGauge
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.velocity import PERIOD_SAMPLES
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 from slam.reporting.publisher import Publisher
 from slam.reporting.run_statistics import RunStatistics
@@ -274,6 +275,20 @@ def test_a_robot_carried_to_another_building_maps_it_apart(carried: tuple[Slam, 
     assert [state["state"] for state in states] == ["LOST"]
     assert "2 parts that no scan connects" in suspects[0]["sentence"]
     assert len(slam.slam_state.trajectory) == summary["scans"]
+
+
+def test_scans_that_are_tracked_again_at_the_beginning_of_a_part_are_no_burst() -> None:
+    """A part begins with the scans that fitted nowhere before; with stamps that go back, no interval would be right."""
+    slam = Slam()
+    for message in elsewhere("office", "room", 8.0):
+        slam.add(message)
+    state = slam.slam_state
+    assert len(state.mapper.landmarks.parts) == 2
+    assert state.checkpoint.tracker is not None
+    intervals = np.array(state.checkpoint.tracker.intervals)
+    assert len(intervals) == PERIOD_SAMPLES
+    assert np.sort(intervals)[:-1] == pytest.approx(0.1)
+    assert intervals.max() == pytest.approx(1.2)  # in which the robot was carried
 
 
 def test_parts_and_searches_for_their_place_are_stored_with_a_session(
