@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import TypeVar
 
 import gtsam
 import numpy as np
@@ -17,6 +18,8 @@ from .gtsam_factors import to_gtsam_graph
 from .present_solution import PresentSolution
 from .range_bias import RangeBias
 from .recent_variables import RecentVariables
+
+Answer = TypeVar("Answer")
 
 # Change of a variable beyond which it is relinearised: metres along its axes and radians. Factors are linear in
 # positions but not in headings, so the threshold on the heading is the small one. A wall's frame may slide along it.
@@ -129,7 +132,7 @@ class IncrementalSolver:
 
     def estimate(self) -> gtsam.Values:
         """Return the estimate of all variables."""
-        return self.isam.calculateEstimate() if self.batch is None else self.batch.values
+        return self._query(lambda isam: isam.calculateEstimate()) if self.batch is None else self.batch.values
 
     def linearisation_point(self) -> gtsam.Values:
         """Return the values of all variables at which they are linearised."""
@@ -139,12 +142,14 @@ class IncrementalSolver:
 
     def pose(self, key: int) -> gtsam.Pose2:
         """Return the estimate of a pose or of the frame of a wall."""
-        return self.isam.calculateEstimatePose2(key) if self.batch is None else self.batch.values.atPose2(key)
+        if self.batch is None:
+            return self._query(lambda isam: isam.calculateEstimatePose2(key))
+        return self.batch.values.atPose2(key)
 
     def point(self, key: int) -> Floats:
         """Return the estimate (2,) of a corner."""
         if self.batch is None:
-            return np.asarray(self.isam.calculateEstimatePoint2(key))
+            return np.asarray(self._query(lambda isam: isam.calculateEstimatePoint2(key)))
         return np.asarray(self.batch.values.atPoint2(key))
 
     def step_length(self) -> float:
@@ -303,11 +308,11 @@ class IncrementalSolver:
             return self.joint_covariance(keys)
         return joint + self.range_bias.covariance(keys)
 
-    def _query(self, marginals: Callable[[gtsam.ISAM2], Floats]) -> Floats:
-        """Compute marginals. If Cholesky fails, switch to QR for good; raise MapError if that fails too."""
+    def _query(self, ask: Callable[[gtsam.ISAM2], Answer]) -> Answer:
+        """Return what is asked for. If Cholesky fails, switch to QR for good; raise MapError if that fails too."""
         while True:
             try:
-                return marginals(self.isam)
+                return ask(self.isam)
             except RuntimeError as error:
                 self.switch_to_qr(error)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from typing import NoReturn
 
@@ -402,3 +402,11 @@ def test_keyframes_are_as_far_apart_as_configured(drive: list[Message], drive_re
 def test_the_session_is_available_after_finish_only() -> None:
     with pytest.raises(SlamError, match="after finish"):
         _ = Slam().session
+
+
+def test_features_without_certainty_give_a_map_or_an_error_of_one_line() -> None:
+    slam = Slam(Config.model_validate({"lidar": {"sigma_bearing": 0.099999}}))
+    with suppress(MapError):
+        for message in Simulation("room", seed=3, duration=6.0):
+            slam.add(message)
+        slam.finish()
