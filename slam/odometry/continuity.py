@@ -19,9 +19,13 @@ MIN_JUMP, MIN_JUMP_SPEED = 100.0, 100.0
 
 
 class ContinuousOdometry:
-    """Readings that go on from the one before a jump: the motion in it is not known, and taken as none."""
+    """Readings that go on from the one before a jump: the motion in it is not known, and taken as none.
+
+    jumped  True if the last reading came after a jump
+    """
 
     def __init__(self) -> None:
+        self.jumped = False
         self._last: Odometry | None = None
         self._offset: se2.Pose | None = None  # of the readings' frame before all jumps; None before the first
 
@@ -29,7 +33,8 @@ class ContinuousOdometry:
         """Return the next reading with its pose in the frame of the first one."""
         pose = reading.pose if self._offset is None else se2.compose(self._offset, reading.pose)
         last = self._last
-        if last is not None and _is_jump(last, pose, reading.stamp):
+        self.jumped = last is not None and _is_jump(last, pose, reading.stamp)
+        if last is not None and self.jumped:
             self._offset, pose = se2.compose(last.pose, se2.inverse(reading.pose)), last.pose
         self._last = reading if pose is reading.pose else replace(reading, pose=pose)
         return self._last

@@ -33,6 +33,11 @@ class MotionSource:
         """True if the motion from scan to scan corrects something: the gyroscope's bias or the predicted velocity."""
         return self.predicted or self._gyroscope.present
 
+    @property
+    def jumped(self) -> bool:
+        """True if the last reading of the wheels came after a jump, which is left out."""
+        return self._readings.jumped
+
     def measurements(self, message: Odometry | Scan | YawRate) -> Iterator[Odometry | Scan]:
         """Yield the odometry and the scans to use when a message arrives."""
         if isinstance(message, YawRate):

@@ -31,7 +31,8 @@ def evaluate(
         Path | None, typer.Option("--relations", help="Relations: true motions between poses (Kuemmerle et al. 2009).")
     ] = None,
     reference: Annotated[
-        Path | None, typer.Option("--reference", help="Reference trajectory in the same format.")
+        Path | None,
+        typer.Option("--reference", help="Reference trajectory in the same format, or output directory of a run."),
     ] = None,
     recording: Annotated[
         Path | None,
@@ -53,21 +54,25 @@ def evaluate(
         raise typer.BadParameter("exactly one of the two is required", param_hint="--relations / --reference")
     if recording is not None and relations is None:
         raise typer.BadParameter("is for relations only", param_hint="--recording")
-    if trajectory.is_dir():
-        trajectory /= TRAJECTORY
     if relations is not None:
         _against_relations(trajectory, relations, recording, plot, as_json)
     elif reference is not None:
         _against_reference(trajectory, reference, plot, as_json)
 
 
+def _read(path: Path) -> Trajectory:
+    """Read a trajectory in a file, or in the output directory of a run. Raises MapError."""
+    from ...io.tum import read_tum
+
+    return read_tum(path / TRAJECTORY if path.is_dir() else path)
+
+
 def _against_relations(
     trajectory: Path, relations: Path, recording: Path | None, plot: Path | None, as_json: bool
 ) -> None:
     from ...evaluation.metrics import read_relations, score_relations
-    from ...io.tum import read_tum
 
-    path, true = read_tum(trajectory), read_relations(relations)
+    path, true = _read(trajectory), read_relations(relations)
     score = score_relations(path, true)
     figures = score.figures() | (_fit_figures(path, true, recording) if recording is not None else {})
     if as_json:
@@ -107,9 +112,8 @@ def _fit_figures(path: Trajectory, relations: Relations, recording: Path) -> dic
 
 def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
     from ...evaluation.metrics import score_reference
-    from ...io.tum import read_tum
 
-    score = score_reference(read_tum(trajectory), read_tum(reference))
+    score = score_reference(_read(trajectory), _read(reference))
     figures = score.figures()
     if as_json:
         typer.echo(json.dumps(figures))

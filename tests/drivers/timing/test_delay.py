@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 import drivers
-from drivers.messages import Odometry, Scan, delay_odometry
+from drivers.messages import Message, Odometry, Scan, delay_odometry
 from drivers.recordings.rosbag import BagReader
 from drivers.simulation import WHEEL_MODELS, Simulation
 from drivers.timing.delay import estimate_delay
@@ -38,6 +41,21 @@ def test_drive_without_turns_does_not_determine_a_delay() -> None:
     delay = estimate_delay(Turns(drivers.open("sim:corridor?duration=15&lidar=short")))
     assert delay is None or delay.objection is not None
     assert estimate_delay(Turns([])) is None
+
+
+@pytest.mark.parametrize("noise", [1e-5, 1e-3])
+@pytest.mark.parametrize("seed", range(4))
+def test_noise_of_a_robot_that_stands_does_not_determine_a_delay(seed: int, noise: float) -> None:
+    source, drive = np.random.default_rng(seed), office_drive()
+    first = next(message for message in drive if isinstance(message, Scan))
+    standing: list[Message] = []
+    for message in drive:
+        if isinstance(message, Scan):
+            ranges = first.ranges + source.normal(0.0, 0.01, len(first.ranges))
+            standing.append(replace(first, stamp=message.stamp, ranges=ranges))
+        elif isinstance(message, Odometry):
+            standing.append(replace(message, pose=source.normal(0.0, noise, 3)))
+    assert estimate_delay(Turns(standing)) is None
 
 
 def test_odometry_is_moved_onto_the_clock_of_the_lidar() -> None:

@@ -150,6 +150,8 @@ def test_eval_takes_the_output_directory_of_a_run(wclm: Any, tmp_path: Path) -> 
     (tmp_path / "out").mkdir()
     (tmp_path / "a.tum").rename(tmp_path / "out" / TRAJECTORY)
     assert "translation 0.0100 +- 0.0000 m" in wclm("eval", "out", "--relations", "a.relations").stdout
+    for both in (("out", "--reference", "truth.tum"), ("truth.tum", "--reference", "out")):
+        assert "0.0050 m RMSE after alignment" in wclm("eval", *both).stdout
     wclm.refuses("eval", ".", "--relations", "a.relations", because=[f"{TRAJECTORY}: No such file"])
 
 

@@ -11,10 +11,12 @@ from drivers import se2
 from drivers.messages import Message, Odometry
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
+from slam.cli.notice_collector import NoticeCollector
 from slam.config import Config, config_to_toml
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
 from slam.odometry.continuity import MIN_JUMP, ContinuousOdometry
+from slam.visualisation.report_page.findings import group_warnings
 
 FAR = np.array([2.0 * MIN_JUMP, -1e8, 1.0])
 
@@ -43,21 +45,28 @@ def test_motions_after_a_jump_are_those_of_the_readings() -> None:
 
 @pytest.mark.parametrize("jumps", [lambda k: k == 50, lambda k: k >= 50, lambda k: k % 20 == 0])
 def test_a_map_is_that_of_a_drive_without_jumps(tmp_path: Path, jumps: Callable[[int], bool]) -> None:
-    def mapped(messages: Sequence[Message]) -> Slam:
-        slam = Slam()
+    def mapped(messages: Sequence[Message], notices: NoticeCollector) -> Slam:
+        slam = Slam(sinks=[notices])
         for message in messages:
             slam.add(message)
         slam.finish()
         return slam
 
     drive = list(Simulation("room", seed=3, duration=5.0, lidar=LidarModel(beams=180, rate=5.0)))
-    count, spoiled = 0, list[Message]()
+    count, spoiled, stamps, before = 0, list[Message](), [], False
     for message in drive:
         count += isinstance(message, Odometry)
         far = isinstance(message, Odometry) and jumps(count)
         spoiled.append(replace(message, pose=se2.compose(FAR, message.pose)) if far else message)
-    slam = mapped(spoiled)
-    np.testing.assert_allclose(slam.pose, mapped(drive).pose, atol=0.01)
+        if isinstance(message, Odometry):
+            stamps += [message.stamp] if far != before else []
+            before = far
+    notices, usual = NoticeCollector(), NoticeCollector()
+    slam = mapped(spoiled, notices)
+    np.testing.assert_allclose(slam.pose, mapped(drive, usual).pose, atol=0.01)
+    jump = "odometry jumps farther than a robot can drive, and goes on from where it was"
+    assert group_warnings(notices.texts)[jump] == pytest.approx(stamps, abs=0.005)
+    assert jump not in group_warnings(usual.texts)
     (tmp_path / CONFIG).write_text(config_to_toml(Config()))
     write_session(tmp_path, slam.session)
     assert read_session(tmp_path).slam_state.mapper.keyframe_count > 1
