@@ -16,6 +16,8 @@ from drivers.messages import Odometry
 # Metres, and metres per second, from which a motion between two readings is a jump. Origin: chosen, more than any
 # wheeled robot drives, and less than what a map cannot represent.
 MIN_JUMP, MIN_JUMP_SPEED = 100.0, 100.0
+# Metres from which it is a jump in any time: a pose so far from the last one says nothing. Origin: chosen.
+MAX_UNSEEN = 1000.0
 
 
 class ContinuousOdometry:
@@ -41,6 +43,6 @@ class ContinuousOdometry:
 
 
 def _is_jump(last: Odometry, pose: se2.Pose, stamp: float) -> bool:
-    """Return True if no robot can have moved from a reading to `pose` (3,) at `stamp` seconds."""
+    """Return True if a robot can hardly have moved from a reading to `pose` (3,) at `stamp` seconds."""
     distance = float(np.hypot(*(pose - last.pose)[:2]))
-    return distance > MIN_JUMP and distance > MIN_JUMP_SPEED * (stamp - last.stamp)
+    return distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * (stamp - last.stamp))

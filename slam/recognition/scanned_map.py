@@ -38,6 +38,9 @@ MIN_WALL_LENGTH = 3.0
 THINNED_SPACING = 0.1
 # Metres from the outermost point to the border of a distance field. Origin: chosen; not measured.
 FIELD_MARGIN = 2.0
+# Metres from the median position along x and y up to which a map is searched: memory grows with the square, and one
+# keyframe may be far away after a failure of odometry. Origin: chosen, beyond any building.
+MAX_REACH = 1000.0
 # Metres up to which the nearest earlier submap counts: passes of one place are connected, as by closed loops.
 # Origin: chosen; not measured.
 MAX_RELATION_DISTANCE = 10.0
@@ -95,7 +98,7 @@ class SubmapScan:
     descriptor  its walls and corners
     points      (p, 5) thinned, with normals
     field       distance field of all points
-    reach       metres from the last keyframe to the farthest point
+    reach       metres from the last keyframe to the farthest point, at most MAX_REACH
     """
 
     keyframes: range
@@ -139,11 +142,13 @@ def scan_map(
     """Prepare a map of keyframes at `poses` (k, 3), each with points (p, 5) with normals in its frame, to search in.
 
     cell  metres, side of its cells
+
+    What is farther than MAX_REACH from the middle of the keyframes is not searched.
     """
     moved = np.concatenate(
         [np.zeros((0, 5)), *(_transform(pose, own) for pose, own in zip(poses, points, strict=True))]
     )
-    low, high = _bounds(moved if len(moved) else poses)
+    low, high = _bounds(moved if len(moved) else poses, poses)
     field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + FIELD_MARGIN)
     field.insert_scans(poses, points)
     grid = _CellGrid.of(low, high, cell)
@@ -165,16 +170,16 @@ def scan_submap(
     """
     relative = se2.between(poses[-1], poses).reshape(-1, 3)
     farthest = [np.hypot(own[:, 0], own[:, 1]).max(initial=0.0) for own in points]
-    reach = float(np.max(np.hypot(relative[:, 0], relative[:, 1]) + farthest))
+    reach = min(MAX_REACH, float(np.max(np.hypot(relative[:, 0], relative[:, 1]) + farthest)))
     built = build_submap(relative, points, reach + FIELD_MARGIN)
     return SubmapScan(keyframes, descriptor, thin(built.points), built.field, reach)
 
 
 def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDENCE_CELL) -> ScannedDrive:
     """Return a drive with its submaps at their present poses in the map; `cell` is the side of its cells, metres."""
-    poses = [mapper.keyframe_poses[scan.keyframes[-1]] for scan in scans]
+    poses = np.array([mapper.keyframe_poses[scan.keyframes[-1]] for scan in scans])
     moved = [_transform(pose, scan.points)[:, :2] for pose, scan in zip(poses, scans, strict=True)]
-    grid = _CellGrid.of(*_bounds(np.concatenate([np.array(poses)[:, :2], *moved])), cell)
+    grid = _CellGrid.of(*_bounds(np.concatenate([poses[:, :2], *moved]), poses), cell)
     placed = [
         PlacedSubmap(scan, pose, grid.sort(scan.points, pose, scan.descriptor))
         for scan, pose in zip(scans, poses, strict=True)
@@ -230,9 +235,13 @@ class _CellGrid:
         return CellPoints(np.ascontiguousarray(points[order]), numbers[order])
 
 
-def _bounds(points: Floats) -> tuple[Floats, Floats]:
-    """Return the lower and the upper corner (2,) around some points or poses (n, m)."""
-    return points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+def _bounds(points: Floats, poses: Floats) -> tuple[Floats, Floats]:
+    """Return the lower and the upper corner (2,) around some points or poses (n, m), at most MAX_REACH from the median
+    of the poses (k, 3).
+    """
+    middle = np.median(poses[:, :2], axis=0)
+    low, high = np.maximum(points[:, :2].min(axis=0), middle - MAX_REACH), points[:, :2].max(axis=0)
+    return low, np.maximum(low, np.minimum(high, middle + MAX_REACH))
 
 
 def _relations(mapper: Mapper, submaps: Sequence[PlacedSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:

@@ -34,6 +34,13 @@ def test_readings_without_a_jump_are_left_as_they_are() -> None:
     assert source.continued(later) is later
 
 
+def test_a_motion_of_kilometres_in_a_gap_is_a_jump() -> None:
+    source = ContinuousOdometry()
+    source.continued(Odometry(0.0, np.zeros(3)))
+    np.testing.assert_array_equal(source.continued(Odometry(1000.0, np.array([5e3, 0.0, 0.0]))).pose, np.zeros(3))
+    assert source.jumped
+
+
 def test_motions_after_a_jump_are_those_of_the_readings() -> None:
     source = ContinuousOdometry()
     driven = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.2], [0.2, 0.1, 0.4], [0.3, 0.2, 0.5]])

@@ -1,0 +1,33 @@
+"""A known map is searched in bounded memory, wherever its keyframes are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam.geometry.segments import Floats
+from slam.mapping.mapper import Mapper
+from slam.recognition.map_index import index_map
+from slam.recognition.scanned_map import FIELD_MARGIN, MAX_REACH, ScannedMap, scan_map
+
+WALL = np.column_stack([np.linspace(-3.0, 3.0, 61), np.full(61, 2.0), np.zeros(61), np.full(61, -1.0), np.zeros(61)])
+"""Points of a wall with normals, as a keyframe sees it."""
+
+
+def scanned(positions: list[list[float]]) -> ScannedMap:
+    """Return a map of keyframes at some positions, which all see a wall."""
+    poses: Floats = np.column_stack([np.array(positions), np.zeros(len(positions))])
+    return scan_map(index_map(Mapper()), poses, [WALL] * len(poses))
+
+
+def test_a_keyframe_that_is_far_away_needs_no_memory_for_the_space_between() -> None:
+    near = [[float(k), 0.0] for k in range(5)]
+    usual, spoiled = scanned(near), scanned([*near, [50e3, -80e3]])
+    half_width = MAX_REACH + FIELD_MARGIN
+    assert np.abs(spoiled.field.centre - usual.field.centre).max() < half_width
+    assert len(spoiled.field.seen) ** 2 < 1e8
+    assert spoiled.cells < 1e7
+    assert spoiled.seen_area == usual.seen_area
+
+
+def test_all_of_a_large_building_is_searched() -> None:
+    assert scanned([[0.0, 0.0], [1500.0, 0.0]]).seen_area == 2.0 * scanned([[0.0, 0.0]]).seen_area
