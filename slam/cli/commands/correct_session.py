@@ -16,6 +16,7 @@ from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
 from ...offline.corrections import CorrectedSession, correct_session
 from ...reporting.run_statistics import loop_counts, part_rows
+from ...visualisation.report_page import check_page
 from ..slam_run import write_report_page
 
 FILES = (TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY)
@@ -34,6 +35,7 @@ def write_corrected_session(
     """
     base, target = uncorrected(path), out or path
     results = read_run_results(base)
+    check_page(results)  # the new page shows parts of its summary
     session = read_session(base)
     with OutputDirectory(target, overwrite or out is None) as directory:
         for log in sorted(path.glob(LOGS)):

@@ -57,14 +57,16 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
         from ...io.run_results import read_run_results
         from ...io.sessions import read_session
         from ...io.sessions.corrections import read_corrections
+        from ...visualisation.report_page import check_page
 
         started = time.perf_counter()
-        summary = read_run_results(path).summary
+        results = read_run_results(path)
+        check_page(results)  # the page of the new run shows parts of its summary
         if read_corrections(path):
             raise MapError(f"{path}: has manual corrections, which a refinement would drop; refine before correcting")
         with print_if_slow(READING_SESSION):
             session = read_session(path)
-        summary = _optimise(directory, str(path), session, summary, started, review=review, picture=picture)
+        summary = _optimise(directory, str(path), session, results.summary, started, review=review, picture=picture)
     write_report_page(out)
     return _lines(summary, out, review=review)
 

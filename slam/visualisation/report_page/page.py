@@ -11,7 +11,7 @@ from string import Template
 
 from ...errors import MapError, first_line
 from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw_map
-from ...io.output_dir import CONFIG
+from ...io.output_dir import CONFIG, SUMMARY
 from ...io.run_results import RunResults
 from ...measuring.wall_map import WallMap
 from . import sections
@@ -29,11 +29,20 @@ def write_page(path: Path, session: RunResults, wall_map: WallMap | None = None)
 
     wall_map  walls with their joint covariance: two walls that are chosen are measured
     """
+    path.write_bytes(_encoded(session, wall_map))
+
+
+def check_page(session: RunResults) -> None:
+    """Raise MapError if the page of a run cannot be written, as the summary is damaged."""
+    _encoded(session, None)
+
+
+def _encoded(session: RunResults, wall_map: WallMap | None) -> bytes:
+    """Return the content of the page. Raises MapError as `write_page` does."""
     try:
-        text = _page(session, wall_map).encode(errors="replace")  # the path of the recording need not be UTF-8
+        return _page(session, wall_map).encode()
     except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        raise MapError(f"{session.path}: not the summary of a run: {first_line(error)}") from error
-    path.write_bytes(text)
+        raise MapError(f"{session.path / SUMMARY}: is not the summary of a run: {first_line(error)}") from error
 
 
 def _page(session: RunResults, wall_map: WallMap | None) -> str:

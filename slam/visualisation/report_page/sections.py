@@ -237,7 +237,7 @@ def details(summary: dict[str, Any], settings: str) -> str:
     """Return recording, how it was read, seed, estimated parameters, versions and settings."""
     slam = summary.get("slam") or {}
     entries = (
-        ("recording", summary.get("recording_path") or summary.get("recording")),
+        ("recording", _path_text(summary.get("recording_path")) or summary.get("recording")),
         ("read as", "; ".join(map(str, summary.get("interpretations") or ())) or None),
         ("seed of the simulation", summary.get("seed")),
         ("factors in the graph", slam.get("factors")),
@@ -257,6 +257,11 @@ def details(summary: dict[str, Any], settings: str) -> str:
         if value is not None
     )
     return f'<table class="plain"><tbody>{rows}</tbody></table><pre>{escape(settings)}</pre>'
+
+
+def _path_text(path: str | None) -> str | None:
+    """Return the path of a file, which need not be UTF-8, as text."""
+    return None if path is None else path.encode(errors="replace").decode()
 
 
 def _systematic_errors(odometry: dict[str, Any]) -> str | None:

@@ -257,7 +257,9 @@ def test_the_report_command_writes_the_page_of_an_older_session(wclm: Any, fake_
     assert wclm("report", "out", "--out", "a.html").exit_code == 0
     assert Path("a.html").read_text() == written
     write_json(Path("out/summary.json"), {"recording": "a"})
-    wclm.refuses("report", "out", "--overwrite", because=["out: not the summary of a run: 'path_length'"])
+    wclm.refuses(
+        "report", "out", "--overwrite", because=["out/summary.json: is not the summary of a run: 'path_length'"]
+    )
     assert Path("out/report.html").read_text() == written
 
 
