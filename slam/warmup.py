@@ -16,6 +16,7 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Floats, Odometry, Scan
 from drivers.simulation import warm_up as warm_up_simulation
+from drivers.timing.floor import warm_up as warm_up_floor
 from drivers.timing.scan_matching import warm_up as warm_up_timing
 
 from .checks.adapter import drive_of
@@ -124,6 +125,7 @@ def compile_preprocessing() -> None:
     _draw_grid()
     warm_up_simulation()
     warm_up_timing()
+    warm_up_floor()
 
 
 def compile_estimation() -> None:

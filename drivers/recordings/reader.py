@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrderTest
     from ..timing.beam_times import BeamTimes
     from ..timing.delay import Delay
+    from ..timing.floor import Floor
     from ..timing.gyroscope_scale import GyroscopeScale
     from ..timing.mount_heading import MountHeading
     from ..timing.turns import Turns
@@ -69,12 +70,15 @@ class RecordingReader(ABC):
         """Yield the messages from the beginning, with non-decreasing stamps."""
         frozen, speed = FrozenOdometryDetector(), OdometrySpeed()
         times = self.beam_times
-        reason, gyroscope = self.reason_to_mirror, self.gyroscope_scale
+        reason, gyroscope, floor = self.reason_to_mirror, self.gyroscope_scale, self.floor
         messages = self._first_or_new_messages()
         report = self.report
         if reason is not None:
             self.interpret(reason)
             messages = self._mirrored(messages)
+        if floor is not None:
+            self.interpret(f"{floor}; these returns are left out, but it should be mounted level")
+            messages = (floor.left_out(message) if isinstance(message, Scan) else message for message in messages)
         if gyroscope is not None:
             report.interpretations += gyroscope.interpretations()
             report.doubts += gyroscope.doubts()
@@ -189,6 +193,11 @@ class RecordingReader(ABC):
         from ..timing.mount_heading import estimate_mount_heading
 
         return estimate_mount_heading(self._turns)
+
+    @property
+    def floor(self) -> Floor | None:
+        """The floor that the lidar sees, as it is not level; None if the recording shows none."""
+        return self._turns.floor
 
     @cached_property
     def _turns(self) -> Turns:

@@ -12,6 +12,7 @@ import numpy as np
 from .. import se2
 from ..messages import Floats, Message, Odometry, Scan, YawRate
 from .beam_times import BeamTimes
+from .floor import Floor, FloorDetector
 from .scan_matching import find_rotation, match, middle_offset, scan_points, surface
 
 # Seconds of a part of a drive. Origin: chosen, a turn with what is before and after it; not measured.
@@ -76,6 +77,7 @@ class Turns:
     scans        number of scans of the drive
     mount        pose of the lidar on the robot that the first scan states; None if it states none
     scan_period  median seconds from scan to scan; 0 without two scans
+    floor        the floor, if the lidar sees it in the drive
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
@@ -85,7 +87,9 @@ class Turns:
         part, end, last = _Part(), -np.inf, -np.inf
         stamps: list[float] = []
         self.mount: se2.Pose | None = None
+        detector = FloorDetector()
         for message in messages:
+            detector.add(message)
             if isinstance(message, Scan):
                 self.mount = self.mount if stamps else message.mount
                 stamps.append(message.stamp)
@@ -107,6 +111,7 @@ class Turns:
                 if not readings:
                     part.slowest, part.fastest = min(part.slowest, message.rate), max(part.fastest, message.rate)
         self._keep(part, measured=bool(readings or rates))
+        self.floor: Floor | None = detector.found()
         self.scans = len(stamps)
         self.scan_period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
         self.rates = np.array(rates).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Timing and direction of a recording's lidar: what was found, what is corrected, and how commands say it."""
+"""Timing and mounting of a recording's lidar: what was found, what is corrected, and how commands say it."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from drivers.recordings.reader import RecordingReader
     from drivers.timing.beam_order import BeamOrderTest
     from drivers.timing.delay import Delay
+    from drivers.timing.floor import Floor
     from drivers.timing.mount_heading import MountHeading
 
     from ..config import Config, LidarConfig
@@ -34,6 +35,7 @@ class RecordingTiming:
     stated_mount    mount of the lidar by the settings, else by the recording: x, y (metres), heading; None if neither
                     states one
     turn_doubts     what is probably wrong with the turns of odometry, as lines of text
+    floor           the floor that the lidar sees, whose returns are left out when the recording is read; None if none
     """
 
     beam_times: BeamTimes = STATED
@@ -43,6 +45,7 @@ class RecordingTiming:
     mount_heading: MountHeading | None = None
     stated_mount: tuple[float, float, float] | None = None
     turn_doubts: tuple[str, ...] = ()
+    floor: Floor | None = None
 
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
@@ -69,11 +72,12 @@ class RecordingTiming:
             heading = None
         turns = reader.odometry_turns
         doubts = () if turns is None else tuple(turns.doubts(corrected=reader.reason_to_mirror is not None))
+        floor = reader.floor
         if set_delay is not None:
-            return cls(reader.beam_times, test, None, set_delay, heading, mount, doubts)
+            return cls(reader.beam_times, test, None, set_delay, heading, mount, doubts, floor)
         delay = reader.delay
         used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beam_times, test, delay, used, heading, mount, doubts)
+        return cls(reader.beam_times, test, delay, used, heading, mount, doubts, floor)
 
     @property
     def used_heading(self) -> float | None:
@@ -129,6 +133,8 @@ class RecordingTiming:
             settings.append(f"lidar.delay={self.used_delay:.4f}")
         if self.used_heading is not None:
             settings.append(f"lidar.mount=[0,0,{self.used_heading:z.4f}]")
+        if self.floor is not None:
+            settings.append(f"lidar.range_max={self.floor.safe_range:.1f}")
         return settings
 
     def corrections(self) -> list[str]:

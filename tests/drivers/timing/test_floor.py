@@ -1,0 +1,189 @@
+"""The floor is recognised in scans of a lidar that is not level, and nothing else is taken for it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import drivers
+from drivers import se2
+from drivers.messages import Floats, Message, Odometry, Scan, SourceReport
+from drivers.recordings.mcap import McapWriter
+from drivers.timing.floor import Floor, FloorDetector, watched
+from slam.cli.app import app
+from slam.cli.run_input import RecordingInput
+from slam.config import Config
+from slam.io.recording_timing import RecordingTiming
+
+ANGLES = np.radians(np.arange(-180.0, 180.0) + 0.4)  # none parallel to a wall, where a distance would be infinite
+RANGE_MAX = 12.0
+MOUNT = np.array([0.1, 0.0, 0.0])
+World = Callable[[Floats], Floats]
+"""Function of a lidar's pose (3,) that returns the range in each of ANGLES, infinite where there is nothing."""
+
+
+def room(width: float, depth: float) -> World:
+    """Return a rectangular room around the origin."""
+
+    def ranges(pose: Floats) -> Floats:
+        x, y = np.cos(pose[2] + ANGLES), np.sin(pose[2] + ANGLES)
+        to_sides = (np.where(x > 0.0, width / 2, -width / 2) - pose[0]) / x
+        to_ends = (np.where(y > 0.0, depth / 2, -depth / 2) - pose[1]) / y
+        return np.asarray(np.minimum(to_sides, to_ends))
+
+    return ranges
+
+
+def round_room(radius: float) -> World:
+    """Return a round room around the origin."""
+
+    def ranges(pose: Floats) -> Floats:
+        directions = np.column_stack([np.cos(pose[2] + ANGLES), np.sin(pose[2] + ANGLES)])
+        along = -directions @ pose[:2]
+        return np.asarray(along + np.sqrt(along**2 + radius**2 - pose[:2] @ pose[:2]))
+
+    return ranges
+
+
+def seeing_line(world: World, distance: float, bearing: float, width: float = np.pi, nodding: float = 0.0) -> World:
+    """Return a world with a line that is fixed in the lidar's frame, seen up to `width` to both sides of `bearing`.
+
+    nodding  standard deviation of its distance from scan to scan, as a part of it
+    """
+    random = np.random.default_rng(1)
+
+    def ranges(pose: Floats) -> Floats:
+        aside = se2.wrap(ANGLES - bearing)
+        reach = distance * (1.0 + nodding * random.standard_normal()) / np.cos(aside)
+        return np.minimum(world(pose), np.where((reach > 0.0) & (np.abs(aside) < width), reach, np.inf))
+
+    return ranges
+
+
+def spinning(turns: float = 2.0) -> Floats:
+    """Return the path (n, 3) of a robot that turns on the spot."""
+    headings = np.arange(0.0, 2.0 * np.pi * turns, np.radians(5.0))
+    return np.column_stack([np.full((len(headings), 2), [0.3, -0.2]), headings])
+
+
+def drive(world: World, path: Floats, range_max: float = RANGE_MAX) -> Iterator[Message]:
+    """Yield the messages on a path through a world, with 1 % noise of the ranges."""
+    random, zeros = np.random.default_rng(0), np.zeros(len(ANGLES))
+    for number, pose in enumerate(path):
+        yield Odometry(0.1 * number, pose)
+        ranges = world(se2.compose(pose, MOUNT)) * (1.0 + 0.01 * random.standard_normal(len(ANGLES)))
+        ranges[ranges > range_max] = np.nan
+        yield Scan(0.1 * number, ranges, ANGLES, zeros, 0.1, range_max, MOUNT)
+
+
+def found(world: World, path: Floats, range_max: float = RANGE_MAX) -> Floor | None:
+    """Return the floor that is found on a path through a world."""
+    detector = FloorDetector()
+    for message in drive(world, path, range_max):
+        detector.add(message)
+    return detector.found()
+
+
+@pytest.mark.parametrize(("distance", "bearing"), [(4.6, 0.0), (4.6, 1.6), (2.0, -3.0), (8.0, 0.5)])
+def test_the_floor_is_found_in_a_hall(distance: float, bearing: float) -> None:
+    floor = found(seeing_line(room(30.0, 20.0), distance, bearing), spinning())
+    assert floor is not None
+    assert floor.distance == pytest.approx(distance, rel=0.05)
+    assert abs(se2.wrap(floor.bearing - bearing)) < np.radians(4.0)
+    assert 0.9 * distance < floor.safe_range < distance
+
+
+def test_the_floor_is_found_by_a_robot_that_nods() -> None:
+    floor = found(seeing_line(room(30.0, 20.0), 4.6, 0.0, nodding=0.06), spinning())
+    assert floor is not None
+    assert floor.distance == pytest.approx(4.6, rel=0.1)
+    assert floor.safe_range < 4.6
+
+
+@pytest.mark.parametrize("range_max", [RANGE_MAX, 4.0])
+@pytest.mark.parametrize("world", [room(30.0, 20.0), room(5.0, 5.0), room(40.0, 2.0), round_room(3.0)])
+def test_walls_are_no_floor(world: World, range_max: float) -> None:
+    assert found(world, spinning(), range_max) is None
+
+
+def test_the_wall_of_a_round_room_that_is_followed_is_no_floor() -> None:
+    headings = np.arange(0.0, 4.0 * np.pi, np.radians(2.0))
+    around = np.column_stack([3.0 * np.sin(headings), -3.0 * np.cos(headings), headings])
+    assert found(round_room(4.5), around) is None
+
+
+def test_no_returns_that_are_stated_as_a_range_are_no_floor() -> None:
+    hall = room(30.0, 20.0)
+    assert found(lambda pose: np.minimum(hall(pose), 5.0), spinning()) is None
+
+
+def test_a_part_of_the_robot_is_no_floor() -> None:
+    assert found(seeing_line(room(30.0, 20.0), 1.3, 0.0, width=0.5), spinning()) is None
+
+
+def test_the_floor_is_not_found_without_turns() -> None:
+    straight = np.column_stack([np.arange(-8.0, 8.0, 0.1), np.zeros((160, 2))])
+    assert found(seeing_line(room(30.0, 20.0), 4.6, 0.0), straight) is None
+    assert FloorDetector().found() is None
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recording of a robot whose lidar sees the floor to its left."""
+    path = tmp_path_factory.mktemp("floor") / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in drive(seeing_line(room(30.0, 20.0), 4.6, np.pi / 2), spinning()):
+            writer.write(message)
+    return path
+
+
+def test_returns_on_the_floor_are_left_out_and_others_are_not(recording: Path) -> None:
+    source = drivers.open(recording)
+    level = [message for message in drive(room(30.0, 20.0), spinning()) if isinstance(message, Scan)]
+    read = [message for message in source if isinstance(message, Scan)]
+    left = np.sin(ANGLES) * np.array([scan.ranges for scan in read])
+    assert np.nanmax(left) < 4.4
+    of_others = np.abs(se2.wrap(ANGLES - np.pi / 2)) > np.pi / 2
+    for scan, true in zip(read, level, strict=True):
+        np.testing.assert_array_equal(scan.ranges[of_others], true.ranges[of_others])
+
+
+def test_info_and_a_run_state_the_floor_and_its_cure(recording: Path) -> None:
+    config = Config()
+    run_input = RecordingInput(drivers.open(recording), reopen=str(recording))
+    assert run_input.resolve(config) == config
+    with run_input.opened(lambda: None) as messages:
+        assert sum(1 for _ in messages) > 200
+    (found,) = run_input.facts()["interpretations"]
+    line = r"it sees the floor in a line 4\.[5-7] m away at a bearing of (89|9\d) degrees"
+    assert re.match(rf"the lidar is not level: {line}, which turned with the robot in \d+ scans", found)
+    assert found.endswith("these returns are left out, but it should be mounted level")
+    output = CliRunner().invoke(app, ["info", str(recording)]).output
+    assert f"  read as     {found}" in output.splitlines()
+    assert re.search(r"--set lidar\.range_max=4\.[1-4]$", output, re.MULTILINE)
+
+
+@pytest.mark.parametrize(("range_max", "doubts"), [(60.0, 1), (4.2, 0)])
+def test_the_floor_is_a_doubt_live_unless_it_is_out_of_range(range_max: float, doubts: int) -> None:
+    messages, report = list(drive(seeing_line(room(30.0, 20.0), 4.6, 0.0), spinning())), SourceReport()
+    for passed_on, message in zip(watched(messages, report, range_max), messages, strict=True):
+        assert passed_on is message
+    assert len(report.doubts) == doubts
+    assert all(re.search(r"mount it level, or set lidar\.range_max=4\.[1-4]$", doubt) for doubt in report.doubts)
+
+
+def test_a_level_lidar_is_read_as_it_is(tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        for message in drive(room(30.0, 20.0), spinning()):
+            writer.write(message)
+    source = drivers.open(tmp_path / "drive.mcap")
+    for read, true in zip(source, drive(room(30.0, 20.0), spinning()), strict=True):
+        if isinstance(read, Scan) and isinstance(true, Scan):
+            np.testing.assert_array_equal(read.ranges, true.ranges)
+    assert source.report.interpretations == []
+    assert RecordingTiming.of(source).settings() == []
