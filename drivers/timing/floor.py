@@ -3,11 +3,11 @@
 The plane of the beams meets the floor in a straight line. This line is fixed in the lidar's frame, and no return lies
 beyond it. A wall is fixed in the building instead, so its line turns in the lidar's frame while the robot turns.
 
-A look is a scan after a turn of MIN_TURN within MAX_DRIVEN. It supports a line if returns lie on it in space that the
-scan before the turn saw through, so they cannot be a surface that stands still, and nearly none of the returns in the
-sector around it lie beyond. It contradicts the line if more do. A robot that nods moves the line by some percent, so a
-look also supports the lines near the one that it shows. With the probabilities of both outcomes, for the floor (F) and
-for any other line (O), a line is the floor if
+A look is a scan after a turn of MIN_TURN within MAX_DRIVEN. It supports a line on two conditions: returns lie on it in
+space that the scan before the turn saw through, so they are no surface that stands still; and nearly none of the
+returns in the sector around it lie beyond. It contradicts the line if more do. If the robot nods, the line moves by
+some percent, so a look also supports the lines near the one that it shows. With the probabilities of both outcomes, for
+the floor (F) and for any other line (O), a line is the floor if
 
     n log(P(support | F) / P(support | O)) + m log(P(contradiction | F) / P(contradiction | O)) > log(lines / p)
 
@@ -67,7 +67,7 @@ SUPPORT_BY_OTHERS = 0.05
 # Share of the returns from the floor that may be nearer than where it is said to begin.
 # Origin: chosen, a small part; some of these returns are from objects.
 NEARER = 0.05
-# Probability of finding a floor where there is none. Origin: chosen, so that no user meets it.
+# Probability of finding a floor where there is none. Origin: chosen, less than one in all drives of many robots.
 ERROR_PROBABILITY = 1e-6
 
 
