@@ -45,7 +45,7 @@ class Pin(Record):
     @property
     def name(self) -> str:
         """Name for messages."""
-        return f"wall {self.id:.0f}" if self.kind == "wall" else f"pose at {self.id:.6g} s"
+        return f"wall {self.id:.0f}" if self.kind == "wall" else f"pose at {self.id:.12g} s"
 
 
 class PinSet(Record):

@@ -91,7 +91,10 @@ def _apply(
     mapper, wall_map = session.slam_state.mapper, settled_wall_map(session.slam_state.mapper)
     match correction:
         case PinSet():
-            return apply_pins(mapper, places, correction, wall_map)
+            try:
+                return apply_pins(mapper, places, correction, wall_map)
+            except MapError as error:
+                raise MapError(f"{correction.file}: {error}") from error
         case WallDeletion():
             wall_map.row(correction.wall)
             delete_wall(mapper, correction.wall)

@@ -65,7 +65,7 @@ def test_pins_move_the_map_into_the_survey_and_a_wrong_one_is_named(wclm: Any, s
     assert result.exit_code == 0, result.output
     left_out = [line for line in result.stdout.splitlines() if "LEFT OUT" in line]
     assert len(left_out) == 1
-    assert f"pose at {float(stated[1]):.6g} s" in left_out[0]
+    assert f"pose at {float(stated[1]):.12g} s" in left_out[0]
     truth = {m.stamp: m.pose for m in Simulation("room", seed=1) if isinstance(m, GroundTruth)}
     path, stamps = read_tum(session / TRAJECTORY), np.array(list(truth))
     nearest = np.abs(path.stamps[:, None] - stamps[None]).argmin(axis=1)
@@ -212,7 +212,7 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses("correct", session, "--close", "0:01,90:00", because=["5400 s: there is no keyframe"])
     wclm.refuses("correct", session, "--close", "0:01,0:x", because=["--close", "times as 0:08"])
     wclm.refuses("correct", session, "--close", "0,1,2", because=["--close", "two keyframes"])
-    wclm.refuses("correct", session, "--pins", tmp_path / "one.csv", because=["do not determine the place"])
-    wclm.refuses("correct", session, "--pins", tmp_path / "late.csv", because=["there is no scan"])
-    wclm.refuses("correct", session, "--pins", tmp_path / "unknown.csv", because=["no wall 999"])
+    wclm.refuses("correct", session, "--pins", tmp_path / "one.csv", because=["one.csv: ", "do not determine the place"])
+    wclm.refuses("correct", session, "--pins", tmp_path / "late.csv", because=["late.csv: ", "there is no scan"])
+    wclm.refuses("correct", session, "--pins", tmp_path / "unknown.csv", because=["unknown.csv: ", "no wall 999"])
     assert {file: file.read_bytes() for file in session.rglob("*") if file.is_file()} == files

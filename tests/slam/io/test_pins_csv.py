@@ -17,10 +17,12 @@ def test_poses_and_walls_are_read(tmp_path: Path) -> None:
     assert (pose.kind, pose.id, pose.x, pose.y) == ("pose", 12.5, 1.0, 2.0)
     assert (pose.xx, pose.xy, pose.yy, pose.heading) == (4e-4, 1e-4, 9e-4, None)
     assert wall.name == "wall 7"
-    file.write_text(HEADER + "pose,0,1,2,0.01,-0.5,0.002\n")
+    assert pose.name == "pose at 12.5 s"
+    file.write_text(HEADER + "pose,1546300800.25,1,2,0.01,-0.5,0.002\n")
     (pin,) = read_pins(file).pins
     assert (pin.xx, pin.xy, pin.yy) == pytest.approx((1e-4, 0.0, 1e-4))
     assert (pin.heading, pin.sigma_heading) == (-0.5, 0.002)
+    assert pin.name == "pose at 1546300800.25 s"  # stamps of recordings count from 1970
 
 
 @pytest.mark.parametrize(
