@@ -14,13 +14,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from .bounds import MAX_MOUNT, MAX_ODOMETRY_DEVIATION, MAX_TURN
 from .errors import ConfigurationError, shortened
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-Deviation = Annotated[float, Field(allow_inf_nan=False, le=1000.0)]
-"""Standard deviation of odometry, metres or radians. A larger one is not needed to say that odometry is useless, and
-what is known of the pose would be lost in rounding.
-"""
+Deviation = Annotated[float, Field(allow_inf_nan=False, le=MAX_ODOMETRY_DEVIATION)]
+MountPosition = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_MOUNT, le=MAX_MOUNT)]
+MountHeading = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_TURN, le=MAX_TURN)]
 
 
 class _Group(BaseModel):
@@ -55,7 +55,7 @@ class LidarConfig(_Group):
         gt=0,
         description="maximum range, metres; longer ranges are ignored; the recording's own limit also applies",
     )
-    mount: tuple[Finite, Finite, Finite] | None = Field(
+    mount: tuple[MountPosition, MountPosition, MountHeading] | None = Field(
         None,
         description="pose of the lidar on the base: x and y in metres, heading in radians; "
         "by default that of the recording, else zero",

@@ -15,7 +15,9 @@ import numpy as np
 from drivers import se2
 from drivers.messages import Scan
 
+from ..bounds import MAX_MOUNT
 from ..config import LidarConfig
+from ..errors import MapError
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
@@ -99,10 +101,18 @@ def sweep_middle(scan: Scan) -> float:
 
 
 def lidar_mount(scan: Scan, lidar: LidarConfig) -> se2.Pose:
-    """Return the lidar's pose on the base [x, y, heading]: as configured, else as recorded, else zero."""
+    """Return the lidar's pose on the base [x, y, heading]: as configured, else as recorded, else zero.
+
+    Raises MapError if a recording places it where no lidar is: with another unit, or relative to another frame.
+    """
     if lidar.mount is not None:
         return np.array(lidar.mount)
-    return np.zeros(3) if scan.mount is None else scan.mount
+    if scan.mount is None:
+        return np.zeros(3)
+    if not (np.isfinite(scan.mount).all() and np.abs(scan.mount[:2]).max() <= MAX_MOUNT):
+        place = f"x {scan.mount[0]:g} m, y {scan.mount[1]:g} m"
+        raise MapError(f"the lidar is mounted at {place} by the transforms; lidar.mount=[x,y,heading] states it")
+    return scan.mount
 
 
 def deskew(

@@ -10,6 +10,7 @@ from drivers import se2
 from drivers.messages import Scan
 from features import Features, LearnedNoise
 
+from ..bounds import MAX_RANGE
 from ..config import FeatureConfig, LidarConfig
 from ..geometry.line_segments import corner_points, segments_from_lines
 from ..geometry.segments import CornerPoints, Segments
@@ -77,7 +78,8 @@ class LidarFeatures:
 
     def _within_limits(self, scan: DeskewedScan) -> DeskewedScan:
         """Return a scan without the ranges that the settings exclude."""
-        usable = (scan.ranges >= self._lidar.range_min) & (scan.ranges <= self._lidar.range_max)  # false for NaN
+        limit = min(self._lidar.range_max, MAX_RANGE)
+        usable = (scan.ranges >= self._lidar.range_min) & (scan.ranges <= limit)  # false for NaN
         return replace(scan, ranges=np.where(usable, scan.ranges, np.nan))
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...graph.factors import Factor, FactorKind, GraphState
-from .tables import MAX_MAGNITUDE, TableReader, are_covariances, to_ragged, write_table
+from .tables import TableReader, are_covariances, to_ragged, write_table
 
 MEASUREMENT_SIZES = {FactorKind.CORNER: 2, FactorKind.WALL_OFFSET: 4}
 """Length of a factor's measurement, if it is not a pose (3)."""

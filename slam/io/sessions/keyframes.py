@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...mapping.keyframes import KeyframeRecords
 from .scans import POSE_ENTRIES, UPPER_TRIANGLE, ScanRecords
-from .tables import MAX_MAGNITUDE, TableReader, are_semidefinite, write_table
+from .tables import TableReader, are_semidefinite, write_table
 
 POSE_COLUMNS = ("x", "y", "heading")
 CORRELATED_DRIFT = {"correlated_drift_xx": (0, 0), "correlated_drift_xy": (0, 1), "correlated_drift_yy": (1, 1)}

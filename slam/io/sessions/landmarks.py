@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...bounds import MAX_DEVIATION, MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...mapping.landmark_table import CORNER_DTYPE, WALL_DTYPE
 from ...mapping.landmarks import Landmarks
 from ...mapping.wall_removal import FreeSpaceEvidence
-from .tables import MAX_DEVIATION, MAX_MAGNITUDE, Ragged, TableReader, are_semidefinite, to_ragged, write_table
+from .tables import Ragged, TableReader, are_semidefinite, to_ragged, write_table
 
 WALL_INTEGERS = ("observations", "first_seen", "last_seen", "merged_into", "removed_at")
 CORNER_INTEGERS = ("observations", "last_seen")

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from .tables import MAX_MAGNITUDE, TableReader, write_table
+from ...bounds import MAX_MAGNITUDE
+from .tables import TableReader, write_table
 
 STRINGS = ("status", "reason")
 INTEGERS = ("candidate", "keyframe", "old", "matches", "merged")

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
-from .tables import MAX_MAGNITUDE, Column, TableReader, write_row_groups
+from .tables import Column, TableReader, write_row_groups
 
 POSE_COLUMNS = ("x", "y", "heading")
 

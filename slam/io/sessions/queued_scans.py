@@ -9,8 +9,9 @@ import numpy as np
 
 from drivers.messages import Scan
 
+from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
-from .tables import MAX_MAGNITUDE, TableReader, to_ragged, write_table
+from .tables import TableReader, to_ragged, write_table
 
 BEAM_COLUMNS = ("range", "angle", "time_offset")
 SCAN_COLUMNS = ("stamp", "range_min", "range_max")

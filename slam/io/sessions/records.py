@@ -10,9 +10,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from drivers.validation import first_problem
 
+from ...bounds import MAX_DEVIATION, MAX_LENGTH, MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
-from .tables import MAX_DEVIATION, MAX_LENGTH, MAX_MAGNITUDE, are_covariances, are_semidefinite
+from .tables import are_covariances, are_semidefinite
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_MAGNITUDE, le=MAX_MAGNITUDE)]
 Length = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_LENGTH, le=MAX_LENGTH)]

@@ -13,6 +13,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...bounds import MAX_COORDINATE, MAX_DEVIATION
 from ...errors import MapError
 from ...geometry.segments import CornerPoints, Floats, Integers, Segments
 from ...matching.scan_features import ScanFeatures
@@ -24,20 +25,23 @@ SEGMENT_COLUMNS = (
     *("x", "y", "heading", "half_length", "offset_offset", "offset_heading", "heading_heading"),
     *("offset_bias_slope", "heading_bias_slope"),
 )
+SEGMENT_LIMITS = *4 * (MAX_COORDINATE,), *3 * (MAX_DEVIATION**2,), *2 * (MAX_COORDINATE,)
 CORNER_COLUMNS = ("x", "y", "xx", "xy", "yy")
+CORNER_LIMITS = *2 * (MAX_COORDINATE,), *3 * (MAX_DEVIATION**2,)
 POINT_COLUMNS = ("point_x", "point_y")
 SWEEP_COLUMN = "sweep_covariance"
 """Upper triangles of the sweep covariances. Earlier versions had them in the covariances of segments and corners."""
 SIGMA_COLUMN = "point_sigma"
 """Standard deviations of the ranges of points. Earlier versions had none."""
 UPPER_TRIANGLE = np.triu_indices(3)
-MAX_RANGE = 1e5
-"""Largest coordinate of a feature, metres: lidars measure some hundred metres."""
 MIN_HALF_LENGTH = 1e-3
 """Smallest half length of a line, metres: those of scans have some decimetres."""
 # Share of a covariance's trace by which an eigenvalue may be negative, as entries are rounded. Origin: numerical, some
 # units of single precision.
 ROUNDED = 1e-6
+# Smallest difference of a correlation of two coordinates of a feature from one. Origin: numerical, some units of single
+# precision.
+MIN_DECORRELATION = 1e-6
 
 
 def feature_columns(scans: Sequence[ScanFeatures], *, exact: bool) -> dict[str, Ragged]:
@@ -67,8 +71,17 @@ def _joined(arrays: Sequence[Floats], shape: tuple[int, ...]) -> Floats:
 
 
 def _upper_triangles(covariances: Sequence[Floats]) -> Floats:
-    """Return (3, n) the upper triangles of covariances (m, 2, 2), joined."""
-    return _joined(covariances, (2, 2))[:, [0, 0, 1], [0, 1, 1]].T
+    """Return (3, n) the upper triangles of covariances (m, 2, 2), joined, without correlations of nearly one.
+
+    In single precision these, as of segments whose motion during the sweep is hardly known, would be rounded to one.
+    They become so much smaller that what is read is not changed again.
+    """
+    upper = _joined(covariances, (2, 2))[:, [0, 0, 1], [0, 1, 1]].T
+    first, mixed, second = upper.astype(np.float32).astype(np.float64)
+    singular = np.abs(mixed) > (1.0 - MIN_DECORRELATION) * np.sqrt((first * second).clip(min=0.0))
+    full = np.sqrt(upper[0, singular] * upper[2, singular])
+    upper[1, singular] = (1.0 - 2.0 * MIN_DECORRELATION) * np.copysign(full, upper[1, singular])
+    return upper
 
 
 def _point_columns(points: Sequence[Floats], *, exact: bool) -> dict[str, Ragged]:
@@ -89,11 +102,11 @@ def _to_point_units(column: Ragged) -> Ragged:
 
 def read_features(table: TableReader, file: Path, *, exact: bool) -> list[ScanFeatures]:
     """Read the columns of features and points of all rows. Raises MapError naming the file."""
-    values, lengths = table.ragged_floats(*(f"segment_{name}" for name in SEGMENT_COLUMNS), limit=MAX_RANGE)
+    values, lengths = table.ragged_floats(*(f"segment_{name}" for name in SEGMENT_COLUMNS), limit=SEGMENT_LIMITS)
     if (values[:, 3] < MIN_HALF_LENGTH).any():
         raise MapError(f"{file}: a segment is shorter than {2.0 * MIN_HALF_LENGTH:g} m")
     segments = split_rows(values, lengths)
-    corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS), limit=MAX_RANGE))
+    corners = split_rows(*table.ragged_floats(*(f"corner_{name}" for name in CORNER_COLUMNS), limit=CORNER_LIMITS))
     pairs = split_rows(*table.ragged_integers("corner_before", "corner_after"))
     points, sweeps = _read_points(table, exact=exact), _read_sweep_covariances(table, file)
     sigmas = _read_sigmas(table, file)
@@ -168,7 +181,7 @@ def _read_sigmas(table: TableReader, file: Path) -> list[float]:
 
 def _read_points(table: TableReader, *, exact: bool) -> list[Floats]:
     if exact:
-        return split_rows(*table.ragged_floats(*POINT_COLUMNS, limit=MAX_RANGE))
+        return split_rows(*table.ragged_floats(*POINT_COLUMNS, limit=MAX_COORDINATE))
     counts, lengths = table.ragged_integers(*POINT_COLUMNS)
     return split_rows(POINT_UNIT * counts.astype(np.float64), lengths)
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats, Integers
 from ...mapping.keyframes import LandmarkIds
@@ -22,16 +23,7 @@ from ...matching.scan_features import ScanFeatures
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
 from .scan_features import are_rounded_from, feature_columns, read_features, split_rows
-from .tables import (
-    MAX_MAGNITUDE,
-    Column,
-    Ragged,
-    TableReader,
-    are_semidefinite,
-    to_ragged,
-    write_row_groups,
-    write_table,
-)
+from .tables import Column, Ragged, TableReader, are_semidefinite, to_ragged, write_row_groups, write_table
 
 EXACT_KEYFRAMES = MAX_RECENT_SEGMENTS
 """Last keyframes whose features are stored exactly: all that are used online."""

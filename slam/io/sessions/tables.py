@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from ...bounds import MAX_DEVIATION, MAX_LENGTH, MAX_MAGNITUDE, MIN_DEVIATION
 from ...errors import MapError, first_line
 from ...geometry.segments import Floats
 
@@ -29,14 +30,6 @@ VALUE_SIZE = 8
 """Bytes of a value in memory."""
 MAX_RATIO = 200
 """Ratio of the sizes of a table in memory and as a file. Tables of long sessions have 3 to 20."""
-MAX_LENGTH = 1e10
-"""Largest absolute value of a length, metres, or angle, radians: odometry of recordings has up to 1e9."""
-MAX_MAGNITUDE = 1e15
-"""Largest absolute value of any other number, such as stamps, covariances and informations. Its square is finite."""
-MIN_DEVIATION, MAX_DEVIATION = 1e-9, 1e5
-"""Smallest and largest standard deviation of a measurement, metres or radians: none is as precise, and beside one that
-is less precise the others would be lost in rounding.
-"""
 ROUNDING = 1e-9
 """Relative rounding error of computed covariances, with a large margin: 1e-15 occurs."""
 ALWAYS_ALLOWED = 1 << 26
@@ -224,11 +217,12 @@ class TableReader:
             raise MapError(f"{self._path}: the column {name} has text that is not UTF-8") from error
 
     def ragged_floats(
-        self, *names: str, finite: bool = True, limit: float = MAX_LENGTH
+        self, *names: str, finite: bool = True, limit: float | Sequence[float] = MAX_LENGTH
     ) -> tuple[Floats, NDArray[np.int64]]:
         """Return ragged columns of equal lengths: the concatenated values (m, d) and the length of each row (n,).
 
-        Raises MapError if lengths differ, or if a value is not finite, unless `finite` is False, or beyond `limit`.
+        Raises MapError if lengths differ, or if a value is not finite, unless `finite` is False, or beyond `limit`,
+        which is that of all columns or of each.
         """
         columns = [self._ragged(name, pa.types.is_floating) for name in names]
         return self._stack(names, columns, np.float64, finite=finite, limit=limit)
@@ -239,12 +233,18 @@ class TableReader:
         return self._stack(names, columns, np.int64, finite=True, limit=MAX_MAGNITUDE)
 
     def _stack(
-        self, names: Sequence[str], columns: Sequence[Ragged], dtype: type, *, finite: bool, limit: float
+        self,
+        names: Sequence[str],
+        columns: Sequence[Ragged],
+        dtype: type,
+        *,
+        finite: bool,
+        limit: float | Sequence[float],
     ) -> tuple[Array, Array]:
-        lengths = columns[0].lengths
-        for name, column in zip(names, columns, strict=True):
+        lengths, limits = columns[0].lengths, np.broadcast_to(limit, len(names)).tolist()
+        for name, column, largest in zip(names, columns, limits, strict=True):
             self._check(name, np.array_equal(column.lengths, lengths), f"has other lengths than {names[0]}")
-            self._check_values(name, column.values, finite=finite, limit=limit)
+            self._check_values(name, column.values, finite=finite, limit=largest)
         return np.column_stack([column.values for column in columns]).astype(dtype), lengths
 
     def _column(self, name: str, has_type: Any) -> Array:

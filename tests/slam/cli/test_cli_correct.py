@@ -212,7 +212,9 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses("correct", session, "--close", "0:01,90:00", because=["5400 s: there is no keyframe"])
     wclm.refuses("correct", session, "--close", "0:01,0:x", because=["--close", "times as 0:08"])
     wclm.refuses("correct", session, "--close", "0,1,2", because=["--close", "two keyframes"])
-    wclm.refuses("correct", session, "--pins", tmp_path / "one.csv", because=["one.csv: ", "do not determine the place"])
+    wclm.refuses(
+        "correct", session, "--pins", tmp_path / "one.csv", because=["one.csv: ", "do not determine the place"]
+    )
     wclm.refuses("correct", session, "--pins", tmp_path / "late.csv", because=["late.csv: ", "there is no scan"])
     wclm.refuses("correct", session, "--pins", tmp_path / "unknown.csv", because=["unknown.csv: ", "no wall 999"])
     assert {file: file.read_bytes() for file in session.rglob("*") if file.is_file()} == files

@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from drivers import Odometry, se2
+from drivers import Odometry, Scan, se2
 from drivers.simulation import Simulation
 from features import LearnedNoise
 from slam import Slam
-from slam.config import LidarConfig
+from slam.config import LidarConfig, load_config
 from slam.errors import MapError
 from slam.graph.graph_storage import graph_state
 from slam.io.output_dir import SESSION
@@ -195,6 +195,26 @@ def test_a_session_is_written_whatever_its_values_are_and_the_reader_names_the_i
     write_directory(tmp_path, slam.session)
     with pytest.raises(MapError, match=message):
         read_session(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ["odometry.translation_error=1000"],
+        ["odometry.rotation_walk=1000"],
+        ["odometry.translation_floor=1000", "odometry.rotation_floor=1000"],
+        ["lidar.mount=[100,-100,6.28]", "lidar.range_max=inf"],
+    ],
+)
+def test_a_session_of_settings_at_their_limits_is_read_back(tmp_path: Path, settings: list[str]) -> None:
+    slam = Slam(load_config(overrides=settings))
+    for message in Simulation("office", seed=3, duration=8.0):
+        slam.add(replace(message, ranges=message.ranges * 10.0) if isinstance(message, Scan) else message)
+    slam.finish()
+    write_directory(tmp_path, slam.session)
+    restored = read_session(tmp_path)
+    assert len(restored.scans) == len(slam.session.scans)
+    assert restored.config == slam.session.config
 
 
 def test_numbers_that_are_not_finite_are_null_in_the_header(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """De-skewing: the beams of a sweep are corrected for the robot's motion, and the uncertainty of it is propagated."""
 
+import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,11 +11,12 @@ from drivers import se2
 from drivers.messages import Odometry, Scan
 from drivers.simulation import LidarModel, Simulation, WheelModel, World
 from features import Extractor, Noise
-from slam.config import OdometryConfig
+from slam.config import LidarConfig, OdometryConfig
+from slam.errors import MapError
 from slam.geometry.line_segments import corner_points, segments_from_lines
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import OdometryHistory, wheel_travel
-from slam.preprocessing.deskew import deskew, sweep_middle
+from slam.preprocessing.deskew import deskew, lidar_mount, sweep_middle
 from slam.preprocessing.motion_uncertainty import add_motion_uncertainty
 
 from ..odometry.circle import circle_history, pose_on_circle
@@ -204,3 +207,14 @@ def test_a_longer_sweep_increases_the_covariances() -> None:
         of_corners = np.trace(corners.covariance, axis1=1, axis2=2).sum()
         variances.append([segments.covariance[:, 0, 0].sum(), of_corners, *np.diag(of_sweep)])
     assert (np.diff(variances, axis=0) > 0).all()
+
+
+def test_a_recorded_mount_that_no_robot_has_is_refused() -> None:
+    scan = Scan(0.0, np.ones(3), np.zeros(3), np.zeros(3), 0.1, 10.0)
+    assert lidar_mount(scan, LidarConfig()).tolist() == [0.0, 0.0, 0.0]
+    assert lidar_mount(replace(scan, mount=np.array([-1.5, 0.0, 3.0])), LidarConfig()).tolist() == [-1.5, 0.0, 3.0]
+    for x in (250.0, math.nan):  # in millimetres, for example
+        wrong = replace(scan, mount=np.array([x, 0.0, 0.0]))
+        with pytest.raises(MapError, match=rf"mounted at x {x:g} m, y 0 m by the transforms; lidar\.mount="):
+            lidar_mount(wrong, LidarConfig())
+        assert lidar_mount(wrong, LidarConfig(mount=(0.1, 0.0, 0.0))).tolist() == [0.1, 0.0, 0.0]
