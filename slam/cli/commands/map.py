@@ -131,7 +131,7 @@ def _write_pgm(
 def _write_graph(file: Path, session: Path) -> str:
     """Write the factor graph of a session; return its size as text."""
     from ...graph.pose_graph import write_g2o
-    from ...io.exports.pose_graph import build_pose_graph
+    from ...io.exports.pose_graph import FIRST_CORNER_ID, FIRST_WALL_ID, build_pose_graph
     from ...io.sessions import read_session
     from ...mapping.convergence import converge
 
@@ -139,8 +139,9 @@ def _write_graph(file: Path, session: Path) -> str:
     converge(mapper)
     graph = build_pose_graph(mapper)
     write_g2o(file, graph)
-    walls = len(graph.poses) - mapper.keyframe_count
-    return f"{mapper.keyframe_count} keyframes, {walls} walls, {len(graph.landmarks)} corners, {graph.edge_count} edges"
+    walls = int(((graph.pose_ids >= FIRST_WALL_ID) & (graph.pose_ids < FIRST_CORNER_ID)).sum())
+    counts = ((mapper.keyframe_count, "keyframe"), (walls, "wall"), (len(graph.landmarks), "corner"))
+    return ", ".join(counted(count, noun) for count, noun in (*counts, (graph.edge_count, "edge")))
 
 
 def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:

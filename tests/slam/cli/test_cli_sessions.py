@@ -173,6 +173,9 @@ def test_exported_graph_has_the_optimum_of_the_session(wclm: Any, session: Path,
         session = Path("better")
     result = wclm("map", session, "--format", "g2o")
     assert result.exit_code == 0, result.output
+    vertices = [line.split() for line in (session / "map.g2o").read_text().splitlines() if line.startswith("VERTEX")]
+    walls = sum(1_000_000 <= int(identity) < 2_000_000 for _, identity, *_ in vertices)
+    assert f" keyframes, {walls} walls, " in result.output
     graph = read_pose_graph(session / "map.g2o").graph
     map_ = read_map(session / MAP)
     stored = read_session(session).slam_state.mapper
