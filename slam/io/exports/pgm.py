@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from .occupancy import FREE, OCCUPIED, Occupancy
 
+BLOCK = 256
+"""Rows of the picture that are written at a time, so that it needs little memory beside the grid."""
 PIXEL_OCCUPIED, PIXEL_UNKNOWN, PIXEL_FREE = 0, 205, 254
 OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 """Defaults of map_saver. Unknown pixels have the occupancy 0.19608: with 0.25, the default of some Nav2 releases, they
@@ -23,11 +25,16 @@ would be read as free."""
 
 def write_pgm(path: Path, occupancy: Occupancy) -> None:
     """Write the picture."""
-    pixels: NDArray[np.uint8] = np.full(occupancy.cells.shape, PIXEL_UNKNOWN, dtype=np.uint8)
-    pixels[occupancy.cells == FREE] = PIXEL_FREE
-    pixels[occupancy.cells == OCCUPIED] = PIXEL_OCCUPIED
     rows, columns = occupancy.cells.shape
-    path.write_bytes(b"P5\n%d %d\n255\n" % (columns, rows) + pixels[::-1].tobytes())
+    upside_down = occupancy.cells[::-1]
+    with path.open("wb") as file:
+        file.write(b"P5\n%d %d\n255\n" % (columns, rows))
+        for row in range(0, rows, BLOCK):
+            block = upside_down[row : row + BLOCK]
+            pixels: NDArray[np.uint8] = np.full(block.shape, PIXEL_UNKNOWN, dtype=np.uint8)
+            pixels[block == FREE] = PIXEL_FREE
+            pixels[block == OCCUPIED] = PIXEL_OCCUPIED
+            file.write(pixels.tobytes())
 
 
 def write_pgm_yaml(path: Path, occupancy: Occupancy, image: str) -> None:

@@ -1,5 +1,6 @@
 """Occupancy grids, and their pictures as map_server reads them."""
 
+from itertools import pairwise
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -14,11 +15,15 @@ from drivers.messages import GroundTruth
 from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.io.exports import Occupancy, OccupancyGrid, PlacedScan, Thresholds, place_scans, write_pgm, write_pgm_yaml
-from slam.io.exports.occupancy import FREE, OCCUPIED, UNKNOWN, trace_beams
+from slam.io.exports.occupancy import FREE, OCCUPIED, TILE, UNKNOWN, trace_beams
 from slam.io.tum import Trajectory
+
+from ...traced_memory import traced_memory
 
 ROOM = np.array([[-1.033, -0.527], [2.987, 0.964]])  # lowest and highest x, y: not symmetric, not on cell edges
 ORIGIN = np.array([0.31, 0.17])
+ANGLES = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 
 
 def room_scan(count: int = 3600, origin: np.ndarray = ORIGIN) -> PlacedScan:
@@ -75,8 +80,10 @@ coordinate = st.floats(0.0, 19.999)
 
 @given(st.tuples(coordinate, coordinate), st.tuples(coordinate, coordinate))
 def test_beam_is_counted_in_the_cells_that_it_crosses(start: tuple[float, float], end: tuple[float, float]) -> None:
-    ended, passed = np.zeros((20, 20), np.int32), np.zeros((20, 20), np.int32)
-    trace_beams(ended, passed, np.zeros(2, dtype=np.int64), np.array(start), np.array([end]), 1)
+    ended, passed = np.zeros((1, TILE, TILE), np.int32), np.zeros((1, TILE, TILE), np.int32)
+    slots, low = np.zeros((1, 1), np.int32), np.zeros(2, dtype=np.int64)
+    trace_beams(ended, passed, slots, low, np.array(start), np.array([end]), 1)
+    ended, passed = ended[0], passed[0]
     (row, column), first = np.argwhere(ended)[0], np.floor(start).astype(int)
     assert ended.sum() == 1
     assert (column, row) == tuple(np.floor(end).astype(int))
@@ -105,10 +112,27 @@ def test_grid_does_not_depend_on_the_order_of_scans(places: list[tuple[float, fl
 def test_too_large_or_empty_grid_is_an_error() -> None:
     with pytest.raises(MapError, match=r"cells of 0\.0001 m make a grid of more than 400 million; make them larger"):
         OccupancyGrid(1e-4).add(room_scan(60))
+    with pytest.raises(MapError, match=r"cells of 0\.005 m make a grid of more than 100 million; make them larger"):
+        OccupancyGrid(0.005).add(PlacedScan(0.0, np.zeros(2), 28.0 * CIRCLE))
     with pytest.raises(MapError, match="a resolution of 0 m is not possible"):
         OccupancyGrid(0.0)
     with pytest.raises(MapError, match="no beam of any scan hit anything"):
         OccupancyGrid(0.05).occupancy()
+
+
+def test_memory_is_that_of_what_scans_have_seen(tmp_path: Path) -> None:
+    """A drive around a square of 200 m, of which the middle is not seen."""
+    corners = np.array([[0.0, 0.0], [200.0, 0.0], [200.0, 200.0], [0.0, 200.0], [0.0, 0.0]])
+    places = np.concatenate([np.linspace(a, b, 40, endpoint=False) for a, b in pairwise(corners)])
+    grid = OccupancyGrid(0.05)
+    with traced_memory() as memory:
+        for place in places:
+            grid.add(PlacedScan(0.0, place, place + 4.0 * CIRCLE))
+        drawn = grid.occupancy()
+        write_pgm(tmp_path / "map.pgm", drawn)
+    assert drawn.cells.size > 4000**2
+    assert memory.peak < 5 * drawn.cells.size  # nine bytes for each cell of the square would be more
+    assert (tmp_path / "map.pgm").stat().st_size > drawn.cells.size
 
 
 @pytest.mark.parametrize("mount", ["0.1,0,0", "-0.2,0.15,2.5"])
