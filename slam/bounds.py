@@ -24,3 +24,5 @@ MAX_TURN = 2.0 * math.pi
 """Largest angle of a lidar's mount, radians; a larger one is in degrees."""
 MAX_COORDINATE = 1e5
 """Largest coordinate of a feature in the frame of the base, metres: more than MAX_RANGE and MAX_MOUNT together."""
+MAX_PERIOD = 1e6
+"""Largest period or delay of the node of ROS 2, seconds; stamps and timers have limits, too."""

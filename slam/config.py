@@ -10,9 +10,9 @@ import math
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from .bounds import MAX_MOUNT, MAX_ODOMETRY_DEVIATION, MAX_TURN
 from .errors import ConfigurationError, shortened
@@ -23,11 +23,21 @@ MountPosition = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_MOUNT, le=MA
 MountHeading = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_TURN, le=MAX_TURN)]
 
 
-class _Group(BaseModel):
+class Settings(BaseModel):
+    """Group of settings; none is unknown, and true and false are no numbers."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _is_of_its_kind(cls, value: Any, info: ValidationInfo) -> Any:
+        kind = cls.model_fields[str(info.field_name)].annotation
+        if isinstance(value, bool) and bool not in (kind, *get_args(kind)):
+            raise ValueError("must not be true or false")
+        return value
 
-class LidarConfig(_Group):
+
+class LidarConfig(Settings):
     """Properties of the lidar, as in its data sheet."""
 
     sigma_range: float = Field(
@@ -110,7 +120,7 @@ class SecondLidarConfig(LidarConfig):
     )
 
 
-class OdometryConfig(_Group):
+class OdometryConfig(Settings):
     """Wheel odometry, and its standard deviations: drift over the travelled distance, and noise of a single reading."""
 
     source: Literal["wheels", "none"] = Field(
@@ -132,7 +142,7 @@ class OdometryConfig(_Group):
     )
 
 
-class FeatureConfig(_Group):
+class FeatureConfig(Settings):
     """Methods of line extraction."""
 
     segmentation: Literal["split", "tracking"] = Field(
@@ -143,7 +153,7 @@ class FeatureConfig(_Group):
     )
 
 
-class MappingConfig(_Group):
+class MappingConfig(Settings):
     """When a scan becomes a keyframe. The CPU time goes with the number of keyframes."""
 
     keyframe_distance: Finite = Field(
@@ -156,13 +166,13 @@ class MappingConfig(_Group):
     )
 
 
-class LoopClosureConfig(_Group):
+class LoopClosureConfig(Settings):
     """Recognition of places that were mapped before."""
 
     enabled: bool = Field(True, description="search for loop closures and close them")
 
 
-class PlanConfig(_Group):
+class PlanConfig(Settings):
     """How exact the walls of a plan are; gross errors are recognised and need not be covered."""
 
     sigma_offset: Finite = Field(0.03, gt=0, description="standard deviation of a wall across itself, metres")
@@ -171,7 +181,7 @@ class PlanConfig(_Group):
     )
 
 
-class Config(_Group):
+class Config(Settings):
     """All settings. The defaults suit indoor lidars on a wheel base."""
 
     lidar: LidarConfig = LidarConfig()

@@ -11,7 +11,9 @@ from ..errors import DriverError
 
 DEFAULT_NODE = "slam_toolbox"
 """Name of the node that this one takes the place of, so that its parameter files fit."""
-NAME = re.compile(r"[~/]?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*|~/?|/")
+NAME = re.compile(r"(~/?|/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*|~/?|/")
+"""Name of a topic, a service or a namespace."""
+NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,9 +38,10 @@ class NodeNames:
         for rule in rules:
             before, separator, after = rule.partition(":=")
             before = before.rpartition(":")[2] if separator else before  # a rule may begin with the name of a node
-            if not separator or not before or not NAME.fullmatch(after):
+            is_node = before in ("__node", "__name")
+            if not separator or not before or not (NODE_NAME if is_node else NAME).fullmatch(after):
                 raise DriverError(f"remapping {rule!r}: must have the form FROM:=TO, with names of ROS 2")
-            if before in ("__node", "__name"):
+            if is_node:
                 node = after
             elif before == "__ns":
                 namespace = after if after.startswith("/") else f"/{after}"

@@ -8,6 +8,7 @@ from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
+from ruamel.yaml.events import AliasEvent
 
 from ..errors import ConfigurationError
 
@@ -71,7 +72,10 @@ def _is_meant(name: str, node: str) -> bool:
 
 
 def _parse(text: str, place: str) -> Any:
+    """Return the content of YAML without aliases, which ROS 2 does not read either: a value may contain itself."""
     try:
+        if any(isinstance(event, AliasEvent) for event in YAML(typ="safe").parse(text)):
+            raise ConfigurationError(f"{place}: has aliases (*name), which parameters of ROS 2 cannot have")
         return YAML(typ="safe").load(text)
     except (YAMLError, ValueError, RecursionError) as error:
         raise ConfigurationError(f"{place}: invalid YAML: {' '.join(str(error).split())}") from error

@@ -5,39 +5,49 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import AfterValidator, Field, ValidationError, field_validator
 
+from drivers.ros2.names import NAME
+
+from ..bounds import MAX_LENGTH, MAX_PERIOD
+from ..config import Settings
 from ..errors import ConfigurationError
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Seconds = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+def _is_topic(name: str) -> str:
+    if name and not NAME.fullmatch(name):
+        raise ValueError("must be a name of ROS 2, such as /front/scan")
+    return name
 
 
-class NodeParameters(BaseModel):
+Topic = Annotated[str, AfterValidator(_is_topic)]
+Length = Annotated[float, Field(ge=-MAX_LENGTH, le=MAX_LENGTH)]
+Seconds = Annotated[float, Field(ge=0, le=MAX_PERIOD)]
+
+
+class NodeParameters(Settings):
     """Parameters of the node; the defaults are those of slam_toolbox."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     odom_frame: str = Field("odom", min_length=1, description="frame of the odometry")
     map_frame: str = Field("map", min_length=1, description="frame of the map")
     base_frame: str = Field("base_footprint", min_length=1, description="frame of the robot's base")
-    scan_topic: str = Field("/scan", min_length=1, description="topic with the scans")
-    cloud_topic: str = Field(
+    scan_topic: Topic = Field("/scan", min_length=1, description="topic with the scans")
+    cloud_topic: Topic = Field(
         "",
         description="topic with point clouds (sensor_msgs/msg/PointCloud2) that are cut at the setting "
         "lidar.cut_height, instead of scan_topic; empty: none",
     )
-    second_scan_topic: str = Field("", description="topic with the scans of a second lidar; empty: there is none")
-    odom_topic: str = Field(
+    second_scan_topic: Topic = Field("", description="topic with the scans of a second lidar; empty: there is none")
+    odom_topic: Topic = Field(
         "", description="topic of type nav_msgs/msg/Odometry; by default the transform odom_frame -> base_frame on /tf"
     )
-    imu_topic: str = Field("", description="topic of type sensor_msgs/msg/Imu, whose yaw rate is used; empty: none")
-    map_name: str = Field("/map", min_length=1, description="topic of the occupancy grid")
+    imu_topic: Topic = Field("", description="topic of type sensor_msgs/msg/Imu, whose yaw rate is used; empty: none")
+    map_name: Topic = Field("/map", min_length=1, description="topic of the occupancy grid")
     mode: Literal["mapping", "localization"] = Field(
         "mapping", description="continue the map of map_file_name, or only localise in it"
     )
     map_file_name: str = Field("", description="output directory of an earlier run; empty: an empty map")
-    map_start_pose: list[Finite] = Field(
+    map_start_pose: list[Length] = Field(
         [], description="rough pose [x, y, heading] of the base in the map of map_file_name; empty: it may be anywhere"
     )
     map_start_at_dock: bool = Field(False, description="the base is near the first pose in the map of map_file_name")
@@ -45,9 +55,7 @@ class NodeParameters(BaseModel):
     max_laser_range: float = Field(
         float("inf"), gt=0, description="metres; longer beams are not drawn into the grid, but are used otherwise"
     )
-    map_update_interval: float = Field(
-        10.0, gt=0, allow_inf_nan=False, description="seconds between two grids, at least"
-    )
+    map_update_interval: float = Field(10.0, gt=0, le=MAX_PERIOD, description="seconds between two grids, at least")
     transform_publish_period: Seconds = Field(
         0.05, description="seconds of odometry between two transforms, at least; 0: no transforms"
     )
@@ -74,6 +82,14 @@ class NodeParameters(BaseModel):
         if len(pose) not in (0, 3):
             raise ValueError("must have three numbers")
         return pose
+
+    @property
+    def without_effect(self) -> list[str]:
+        """Names of the parameters that only matter with map_file_name, if that is not set and they are."""
+        if self.map_file_name:
+            return []
+        names = {"mode": self.mode == "localization", "map_start_pose": self.map_start_pose}
+        return [name for name, is_set in (*names.items(), ("map_start_at_dock", self.map_start_at_dock)) if is_set]
 
     def settings(self, resolve: Callable[[str], str] = str) -> list[str]:
         """Return the settings of the estimator that parameters set, as GROUP.KEY=VALUE.
@@ -126,5 +142,6 @@ def parse_parameters(values: Mapping[str, Any], place: str) -> tuple[NodeParamet
     except ValidationError as error:
         first = error.errors()[0]
         name = ".".join(str(part) for part in first["loc"])
-        reason = "no such parameter" if first["type"] == "extra_forbidden" else first["msg"]
+        is_unknown = first["type"] == "extra_forbidden"
+        reason = "no such parameter" if is_unknown else first["msg"].removeprefix("Value error, ")
         raise ConfigurationError(f"{place}: {name}: {reason[:1].lower()}{reason[1:]}") from error

@@ -43,6 +43,8 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         ("lidar.mount=[100.1, 0, 0]", "lidar.mount.0: input should be less than or equal to 100"),
         ("lidar.mount=[0, 0, 90]", "lidar.mount.2: input should be less than or equal to 6.28"),
         ("second_lidar.mount=[0, nan, 0]", "second_lidar.mount.1: input should be a finite number"),
+        ("lidar.range_max=true", "lidar.range_max: must not be true or false"),
+        ("lidar.delay=true", "lidar.delay: must not be true or false"),
         ("features.estimator=best", "features.estimator: input should be 'wclm-ml'"),
         ("lidar=3", "--set lidar=3: must have the form group.key=value"),
         ("sigma_range=3", "must have the form group.key=value"),

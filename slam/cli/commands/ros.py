@@ -117,13 +117,19 @@ def ros(
 
 
 def _load_parameters(files: list[Path], assignments: list[str], names: NodeNames) -> NodeParameters:
+    from ...errors import ConfigurationError
     from ...ros.parameter_files import load_parameters
     from ...ros.parameters import parse_parameters
 
     place = ", ".join([*map(str, files), *(["--param"] if assignments else [])])
     parameters, ignored = parse_parameters(load_parameters(files, assignments, names.qualified), place)
+    first, second = parameters.cloud_topic or parameters.scan_topic, parameters.second_scan_topic
+    if second and names.resolve(second) == names.resolve(first):
+        raise ConfigurationError(f"{place}: second_scan_topic: {second} is the topic of the first lidar, too")
     if ignored:
         print_message(f"parameters without a counterpart are ignored: {', '.join(ignored)}")
+    if parameters.without_effect:
+        print_message(f"without map_file_name these parameters have no effect: {', '.join(parameters.without_effect)}")
     if settings := parameters.settings(names.resolve):
         print_message(f"settings from parameters: {', '.join(settings)}")
     return parameters

@@ -18,10 +18,12 @@ from drivers.ros2.selection import Backend, choose_backend, domain_id, open_link
         ("~/state", "/robot/slam_toolbox/state"),
         ("/tf", "/robot/tf"),
         ("map", "/shared/map"),
+        ("odom", "/robot/slam_toolbox/odometry"),
     ],
 )
 def test_names_are_resolved_and_remapped(name: str, expected: str) -> None:
-    names = NodeNames.from_rules(["__ns:=/robot", "/tf:=tf", "map:=/shared/map", "/shared/map:=/never"])
+    rules = ["__ns:=/robot", "/tf:=tf", "map:=/shared/map", "/shared/map:=/never", "odom:=~/odometry"]
+    names = NodeNames.from_rules(rules)
     assert names.resolve(name) == expected
 
 
@@ -30,7 +32,7 @@ def test_rules_of_launch_files_name_the_node() -> None:
     assert (names.qualified, names.resolve("scan")) == ("/mapper", "/front")
 
 
-@pytest.mark.parametrize("rule", ["scan", "scan=/front", ":=x", "scan:=", "scan:=a b"])
+@pytest.mark.parametrize("rule", ["scan", "scan=/front", ":=x", "scan:=", "scan:=a b", "__node:=a/b", "__node:=/a"])
 def test_invalid_rules_are_named(rule: str) -> None:
     with pytest.raises(DriverError, match="remapping"):
         NodeNames.from_rules([rule])

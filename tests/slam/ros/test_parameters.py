@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -67,6 +68,8 @@ def test_files_of_launch_files_and_namespaces_are_read(tmp_path: Path) -> None:
         ("- 1", "must contain the name of a node"),
         ("amcl:\n  ros__parameters:\n    a: 1", "has parameters of /amcl, but not of /slam_toolbox"),
         ("slam_toolbox:\n  ros__parameters: 3", "must have names and values"),
+        ("slam_toolbox: &node\n  inner: *node", "has aliases"),
+        ("a: &a {x: 1}\n" + "".join(f"b{k}: &{chr(98 + k)} [*{chr(97 + k)}]\n" for k in range(20)), "has aliases"),
     ],
 )
 def test_damaged_files_are_named(tmp_path: Path, text: str, reason: str) -> None:
@@ -82,7 +85,15 @@ def test_damaged_files_are_named(tmp_path: Path, text: str, reason: str) -> None
         ({"odom_fram": "odom"}, "odom_fram: no such parameter"),
         ({"resolution": -1.0}, "resolution: input should be greater"),
         ({"mode": "lifelong"}, "mode: input should be 'mapping' or 'localization'"),
-        ({"map_start_pose": [1.0, 2.0]}, "map_start_pose: value error, must have three numbers"),
+        ({"map_start_pose": [1.0, 2.0]}, "map_start_pose: must have three numbers"),
+        ({"map_start_pose": [1.0, 2.0, float("nan")]}, "map_start_pose.2: input should be"),
+        ({"resolution": True}, "resolution: must not be true or false"),
+        ({"throttle_scans": True}, "throttle_scans: must not be true or false"),
+        ({"scan_topic": "front scan"}, "scan_topic: must be a name of ROS 2, such as /front/scan"),
+        ({"imu_topic": "//imu"}, "imu_topic: must be a name of ROS 2"),
+        ({"map_name": "1map"}, "map_name: must be a name of ROS 2"),
+        ({"transform_timeout": 1e300}, "transform_timeout: input should be less than or equal to 1000000"),
+        ({"map_update_interval": 1e300}, "map_update_interval: input should be less than or equal to 1000000"),
         ({"transform_timeout": "soon"}, "transform_timeout: input should be a valid number"),
     ],
 )
@@ -91,6 +102,18 @@ def test_mistakes_are_named(values: dict[str, object], reason: str) -> None:
         parse_parameters(values, "slam.yaml")
     with pytest.raises(ConfigurationError, match=r"parameter 'a=1': must have the form NAME:=VALUE"):
         load_parameters([], ["a=1"], "/slam_toolbox")
+
+
+def test_parameters_without_effect_are_known() -> None:
+    pose = {"map_start_pose": [1.0, 2.0, 0.0], "map_start_at_dock": True, "mode": "localization"}
+    assert parse_parameters(pose, "")[0].without_effect == ["mode", "map_start_pose", "map_start_at_dock"]
+    assert parse_parameters({**pose, "map_file_name": "map"}, "")[0].without_effect == []
+    assert parse_parameters({}, "")[0].without_effect == []
+
+
+def test_two_lidars_have_topics_of_their_own(wclm: Any) -> None:
+    arguments = ["--param", "second_scan_topic:=scan", "--duration", 0]
+    wclm.refuses("ros", *arguments, because=["--param: second_scan_topic: scan is the topic of the first lidar, too"])
 
 
 def test_page_lists_every_parameter() -> None:
