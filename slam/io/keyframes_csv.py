@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..bounds import MAX_LENGTH
 from ..errors import MapError
 from ..geometry.segments import Floats
 
@@ -78,6 +79,8 @@ def read_keyframes(path: Path) -> Keyframes:
             raise MapError(f"{path}:{number}: expected {len(COLUMNS)} numbers") from error
         if not np.isfinite(rows[number - 2, :4]).all():
             raise MapError(f"{path}:{number}: not all values are finite")
+        if np.abs(rows[number - 2, 1:4]).max() > MAX_LENGTH:
+            raise MapError(f"{path}:{number}: the pose is beyond {MAX_LENGTH:g} m")
     covariance = np.empty((len(rows), 3, 3))
     covariance[:, UPPER_TRIANGLE[0], UPPER_TRIANGLE[1]] = rows[:, 4:]
     covariance[:, UPPER_TRIANGLE[1], UPPER_TRIANGLE[0]] = rows[:, 4:]

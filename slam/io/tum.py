@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from drivers import se2
 from drivers.path_length import path_length
 
+from ..bounds import MAX_LENGTH
 from ..errors import MapError
 from ..geometry.segments import Floats
 
@@ -143,6 +144,8 @@ def read_tum_poses(path: Path) -> tuple[Floats, Floats]:
         row = int(np.argmax(wrong))
         raise MapError(f"{path}:{rows.lines[row]}: the quaternion's length is {length[row]:.3g}, not 1")
     values = rows.values
+    if np.any(far := np.abs(values[:, 1:3]).max(axis=1) > MAX_LENGTH):
+        raise MapError(f"{path}:{rows.lines[int(np.argmax(far))]}: the position is beyond {MAX_LENGTH:g} m")
     heading = 2 * np.arctan2(values[:, 6], values[:, 7])
     return values[:, 0], np.column_stack([values[:, 1:3], se2.wrap(heading)])
 

@@ -7,10 +7,7 @@ cut off. A command then succeeds, or it prints one line that names the file, has
 from __future__ import annotations
 
 import argparse
-import copy
-import json
 import os
-import re
 import sys
 import tempfile
 import time
@@ -18,27 +15,31 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from rosbags.rosbag2 import StoragePlugin
 from typer.testing import CliRunner
 
+from drivers.recordings.ros_encoder import RosEncoder
+from drivers.simulation import LidarModel, Simulation
 from slam.cli.app import app
 from slam.io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY
 from slam.warmup import warm_up
 
+from ..drivers.conftest import ros_entries, write_bag2
+from .damages import (
+    Damage,
+    damaged_attributes,
+    damaged_json,
+    damaged_lines,
+    damaged_rows,
+    damaged_settings,
+    damaged_table,
+)
 from .worker import MAX_MEMORY, peak_memory
 
 MAX_SECONDS = 5.0
 """Processor time of a command."""
-VALUES: tuple[Any, ...] = (
-    None, True, 0, -1, 2**31, 10**25, 0.5, 1e300, float("nan"), float("inf"), "", "x", [], {}, [[1.0]], {"x": 1},
-)  # fmt: skip
-WORDS = ("", "x", "nan", "inf", "-1", "0", "1e300", "1" + "0" * 30, "null", '"', "\x00", "1e-300")
-MORE = b"\n1,2\n"
-"""What is appended to a text."""
 DRIVE = "sim:office?seed=3&duration=12"
-Damage = tuple[str, bytes]
-"""What was changed, and the damaged content."""
 
 
 @dataclass(frozen=True)
@@ -48,84 +49,13 @@ class Sweep:
     file      in the folder of all files
     damages   yields the damaged contents for the intact one
     commands  arguments of commands, run in that folder; `out` is a directory or file that is written
+    named     what an error must name; by default the file
     """
 
     file: str
     damages: Callable[[bytes], Iterator[Damage]]
     commands: Sequence[str]
-
-
-def damaged_json(data: bytes) -> Iterator[Damage]:
-    """Yield JSON with each value replaced or left out; of a list, the first one and the last one."""
-    yield from damaged_ends(data)
-    tree = json.loads(data)
-    for keys in places(tree):
-        for value in VALUES:
-            changed = copy.deepcopy(tree)
-            inner(changed, keys)[keys[-1]] = value
-            yield f"{keys} = {value!r}"[:200], json.dumps(changed).encode()
-        changed = copy.deepcopy(tree)
-        del inner(changed, keys)[keys[-1]]
-        yield f"{keys} left out", json.dumps(changed).encode()
-
-
-def places(tree: Any, before: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-    """Yield the keys that lead to each value of a tree; of a list, to the first one and the last one."""
-    keys = (
-        list(tree) if isinstance(tree, dict) else sorted({0, len(tree) - 1}) if isinstance(tree, list) and tree else []
-    )
-    for key in keys:
-        yield (*before, key)
-        yield from places(tree[key], (*before, key))
-
-
-def inner(tree: Any, keys: tuple[Any, ...]) -> Any:
-    """Return the part of a tree that has the last of some keys."""
-    for key in keys[:-1]:
-        tree = tree[key]
-    return tree
-
-
-def damaged_rows(data: bytes) -> Iterator[Damage]:
-    """Yield lines of columns with each column replaced, left out or repeated: in the first, second and last line."""
-    yield from damaged_ends(data)
-    lines = data.decode().splitlines()
-    separator = "," if "," in lines[-1] else " "
-    for row in sorted({0, 1, len(lines) - 1} & set(range(len(lines)))):
-        cells = lines[row].split(separator)
-        for column in range(len(cells)):
-            for word in WORDS:
-                yield from _with_cells(lines, row, separator, [*cells[:column], word, *cells[column + 1 :]])
-            yield from _with_cells(lines, row, separator, [*cells[:column], *cells[column + 1 :]])
-            yield from _with_cells(lines, row, separator, [*cells[: column + 1], *cells[column:]])
-        yield f"line {row} left out", "\n".join([*lines[:row], *lines[row + 1 :], ""]).encode()
-        yield f"line {row} twice", "\n".join([*lines[: row + 1], *lines[row:], ""]).encode()
-
-
-def _with_cells(lines: list[str], row: int, separator: str, cells: list[str]) -> Iterator[Damage]:
-    line = separator.join(cells)
-    yield f"line {row}: {line}"[:200], "\n".join([*lines[:row], line, *lines[row + 1 :], ""]).encode()
-
-
-def damaged_settings(data: bytes) -> Iterator[Damage]:
-    """Yield settings in TOML or YAML with each value replaced, or its line left out."""
-    yield from damaged_ends(data)
-    text = data.decode()
-    for place in re.finditer(r"(?<=[=:])[ \t]*\S[^\n]*", text):
-        for word in (*WORDS, "[]", "{}", "true", "[1, 2]", "nan, nan", "[nan, 0, 0]"):
-            yield f"{place[0].strip()} -> {word}"[:200], f"{text[: place.start()]} {word}{text[place.end() :]}".encode()
-    for line in re.finditer(r"[^\n]+\n", text):
-        yield f"{line[0].strip()} left out"[:200], f"{text[: line.start()]}{text[line.end() :]}".encode()
-
-
-def damaged_ends(data: bytes) -> Iterator[Damage]:
-    """Yield content that is empty, cut off, longer, binary or of another encoding."""
-    yield "empty", b""
-    for share in (0.01, 0.5, 0.99):
-        yield f"cut off after {share:g}", data[: int(share * len(data))]
-    yield "more", data + MORE
-    yield "binary", bytes(range(256))
-    yield "UTF-16", data.decode(errors="replace").encode("utf-16")
+    named: str = ""
 
 
 SESSION_COMMANDS = (
@@ -153,6 +83,12 @@ CORRECTION_COMMANDS = (
     "correct corrected --delete-wall 1 --out out",
     "report corrected --out out.html",
 )
+TABLE_COMMANDS = ("measure run", "optimize run --out out --no-review")
+TABLES = (
+    "corners", "factors", "keyframes", "loop_decisions", "odometry", "queued_scans", "recent_keyframes", "scans",
+    "variables", "walls",
+)  # fmt: skip
+"""Tables of a session."""
 WORLD_COMMANDS = ("simulate world.toml out.mcap --duration 1", "run sim:world.toml?duration=3 --out out --no-review")
 SWEEPS = [
     Sweep(f"run/{SUMMARY}", damaged_json, SESSION_COMMANDS),
@@ -169,6 +105,10 @@ SWEEPS = [
     Sweep("world.toml", damaged_settings, WORLD_COMMANDS),
     Sweep("a.relations", damaged_rows, ("eval run --relations a.relations",)),
     Sweep("reference.tum", damaged_rows, ("eval run --reference reference.tum",)),
+    Sweep("plan.dxf", damaged_lines, (f"run {DRIVE} --plan plan.dxf --out out --no-review",)),
+    Sweep("plan.svg", damaged_attributes, (f"run {DRIVE} --plan plan.svg --out out --no-review",)),
+    Sweep("bag/metadata.yaml", damaged_settings, ("info bag", "run bag --out out --no-review"), named="bag"),
+    *(Sweep(f"run/{SESSION}/{name}.parquet", damaged_table, TABLE_COMMANDS, named=SESSION) for name in TABLES),
 ]
 
 
@@ -177,7 +117,10 @@ def make_files(folder: Path) -> None:
     for name, drive in (("run", "office?seed=4&duration=12"), ("other", "office?seed=5&duration=25")):
         succeed(["run", f"sim:{drive}", "--out", str(folder / name), "--no-review"])
     succeed(["correct", str(folder / "run"), "--delete-wall", "0", "--out", str(folder / "corrected")])
-    succeed(["map", str(folder / "other"), "--format", "geojson", "--out", str(folder / "plan.geojson")])
+    for suffix in ("geojson", "dxf", "svg"):
+        succeed(["map", str(folder / "other"), "--format", suffix, "--out", str(folder / f"plan.{suffix}")])
+    drive = list(Simulation("room", seed=3, duration=2.0, lidar=LidarModel(beams=90, rate=5.0)))
+    write_bag2(folder / "bag", ros_entries(drive, RosEncoder()), StoragePlugin.SQLITE3)
     succeed(["map", str(folder / "other"), "--format", "pgm", "--out", str(folder / "grid.pgm")])
     lines = (folder / "run" / TRAJECTORY).read_text().splitlines()
     (folder / "reference.tum").write_text("\n".join(lines[::3]) + "\n")
@@ -204,7 +147,7 @@ def succeed(arguments: Sequence[str]) -> None:
     assert ended.exit_code == 0, ended.output
 
 
-def failure_of(folder: Path, file: Path, command: str) -> str:
+def failure_of(folder: Path, named: str, command: str) -> str:
     """Run a command in the present directory `folder`; return what is wrong with it, empty if nothing is."""
     peak_memory()  # begins a new measurement
     before, started, used = listing(folder), time.process_time(), peak_memory()
@@ -224,8 +167,8 @@ def failure_of(folder: Path, file: Path, command: str) -> str:
         return ""
     if result.exit_code != 2 or result.stderr.splitlines()[-1:] != lines[-1:]:
         return f"exit status {result.exit_code}: {result.output[-500:]}"
-    if file.name not in lines[-1]:
-        return f"does not name the file: {lines[-1]}"
+    if named not in lines[-1]:
+        return f"does not name {named}: {lines[-1]}"
     return f"leaves {sorted(added)[0]} behind: {lines[-1]}" if added else ""
 
 
@@ -250,7 +193,7 @@ def failures(folder: Path, sweep: Sweep, step: int = 1) -> Iterator[str]:
                 continue
             file.write_bytes(content)
             try:
-                failure = failure_of(folder, file, command)
+                failure = failure_of(folder, sweep.named or file.name, command)
             finally:
                 file.write_bytes(intact)
             if failure:

@@ -30,6 +30,8 @@ RESERVE = 1 / 8
 """Share of the tiles for which more memory is reserved when it is used up."""
 MAX_CELLS = 400_000_000
 """Largest size of the grid: 1 km by 1 km at 0.05 m. More is a mistake in the resolution, or a point far away."""
+MAX_INDEX = 2.0**52
+"""Cells from the map's origin; farther ones cannot be told apart."""
 MAX_SEEN = 100_000_000
 """Most cells of tiles around scans, which need 9 bytes each: 0.25 km² at 0.05 m."""
 
@@ -109,6 +111,8 @@ class OccupancyGrid:
         start = scan.origin / self._resolution
         ends = scan.points / self._resolution
         corners = np.vstack([start, ends])
+        if not (np.abs(corners) < MAX_INDEX).all():
+            raise MapError(f"a scan is too far from the origin of the map for cells of {self._resolution:g} m")
         low = np.floor(np.floor(corners.min(axis=0)) / TILE)
         high = np.floor(np.floor(corners.max(axis=0)) / TILE)
         self._grow(low, high)

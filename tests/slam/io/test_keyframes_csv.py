@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from slam.errors import MapError
 from slam.events import Finished
-from slam.io.keyframes_csv import Keyframes, read_keyframes, write_keyframes
+from slam.io.keyframes_csv import COLUMNS, Keyframes, read_keyframes, write_keyframes
 
 
 def test_keyframes_are_read_back_with_their_covariances(tmp_path: Path, finished: Finished) -> None:
@@ -22,3 +23,19 @@ def test_keyframes_are_read_back_with_their_covariances(tmp_path: Path, finished
     assert np.isnan(sigma[2])
     for k in (0, 1, 3, 4, 5):
         assert sigma[k] == pytest.approx(np.sqrt(np.linalg.eigvalsh(covariance[k, :2, :2]).max()))
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "message"), [("x", "1e300", "the pose is beyond"), ("y", "nan", "not all values are finite")]
+)
+def test_the_line_of_an_impossible_pose_is_named(
+    tmp_path: Path, finished: Finished, column: str, value: str, message: str
+) -> None:
+    file = tmp_path / "a.csv"
+    write_keyframes(file, Keyframes.of(finished))
+    header, *lines = file.read_text().splitlines()
+    cells = lines[1].split(",")
+    cells[COLUMNS.index(column)] = value
+    file.write_text("\n".join([header, lines[0], ",".join(cells), *lines[2:], ""]))
+    with pytest.raises(MapError, match=rf"a\.csv:3: {message}"):
+        read_keyframes(file)

@@ -114,6 +114,9 @@ def test_too_large_or_empty_grid_is_an_error() -> None:
         OccupancyGrid(1e-4).add(room_scan(60))
     with pytest.raises(MapError, match=r"cells of 0\.005 m make a grid of more than 100 million; make them larger"):
         OccupancyGrid(0.005).add(PlacedScan(0.0, np.zeros(2), 28.0 * CIRCLE))
+    for place in (1e20, np.inf, np.nan):
+        with pytest.raises(MapError, match=r"a scan is too far from the origin of the map for cells of 0\.05 m"):
+            OccupancyGrid(0.05).add(PlacedScan(0.0, np.full(2, place), place + CIRCLE))
     with pytest.raises(MapError, match="a resolution of 0 m is not possible"):
         OccupancyGrid(0.0)
     with pytest.raises(MapError, match="no beam of any scan hit anything"):

@@ -53,6 +53,7 @@ def test_comments_and_empty_lines_are_skipped_and_poses_sorted(tmp_path: Path) -
         ("1 0 0 0 0 0 0 1\n2 0 0 0\n", "a.tum:2: expected 8 numbers (t x y z qx qy qz qw), found 4"),
         ("1 0 0 zero 0 0 0 1\n", "a.tum:1: expected 8 numbers (t x y z qx qy qz qw): could not convert"),
         ("# c\n1 0 nan 0 0 0 0 1\n", "a.tum:2: not all values are finite"),
+        ("1 0 0 0 0 0 0 1\n2 0 -1e25 0 0 0 0 1\n", "a.tum:2: the position is beyond 1e+10 m"),
         ("1 0 0 0 0 0 0 2\n", "a.tum:1: the quaternion's length is 2, not 1"),
     ],
 )
