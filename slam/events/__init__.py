@@ -6,6 +6,7 @@ from typing import Protocol, TypeAlias
 
 from .loops import ComparedPoints, Correction, LoopCheck, LoopDecided
 from .mapping import GraphInspected, KeyframeAdded, MapUpdated, WallsMerged, WallsRemoved
+from .recorder import EventRecorder
 from .run import Finished, Notice, SuspectFound
 from .tracking import GroundTruthReceived, ModeChanged, Relocalised, ScanTracked, StateChanged
 
@@ -13,6 +14,7 @@ __all__ = [
     "ComparedPoints",
     "Correction",
     "Event",
+    "EventRecorder",
     "Finished",
     "GraphInspected",
     "GroundTruthReceived",

@@ -14,14 +14,12 @@ from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
-from slam.events import Finished, GraphInspected, Notice
+from slam.events import EventRecorder, Finished, GraphInspected, Notice
 from slam.io.output_dir import CONFIG
 from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
 from slam.offline.optimisation import optimise
-
-from .listeners import EventCollector
 
 DRIVEN, INTERRUPTED = 22.0, 12.0  # seconds of the first drive
 LATER = 1000.0  # seconds until the next
@@ -38,7 +36,7 @@ def drive(world: str, seed: int, begin: float, end: float, shift: float = 0.0) -
 
 
 def run(messages: Sequence[Message], left: Path | None = None, *, frozen: bool = False) -> tuple[Slam, Finished, list]:
-    listener = EventCollector()
+    listener = EventRecorder()
     resumed = None if left is None else read_session(left, solve=False)
     slam = Slam(sinks=[listener], resumed=resumed, frozen=frozen)
     for message in messages:
@@ -202,7 +200,7 @@ def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped
 
 
 def test_an_optimised_session_publishes_its_map_and_residuals(mapped: tuple[Path, Finished]) -> None:
-    listener = EventCollector()
+    listener = EventRecorder()
     optimised = optimise(read_session(mapped[0]), [listener])
     inspected, finished = listener.events[-2:]
     assert isinstance(inspected, GraphInspected)

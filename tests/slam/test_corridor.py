@@ -9,16 +9,14 @@ from drivers import se2
 from drivers.messages import GroundTruth
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
-from slam.events import StateChanged
-
-from .listeners import EventCollector
+from slam.events import EventRecorder, StateChanged
 
 SHORT_SIGHTED = LidarModel(beams=360, range_max=12.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_bare_corridor_leaves_the_way_along_it_to_odometry(seed: int) -> None:
-    listener, truth = EventCollector(), []
+    listener, truth = EventRecorder(), []
     slam = Slam(sinks=[listener])
     for message in Simulation("bare_corridor", seed=seed, duration=18.0, lidar=SHORT_SIGHTED):
         if isinstance(message, GroundTruth):

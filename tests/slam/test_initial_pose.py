@@ -13,10 +13,8 @@ from drivers.messages import GroundTruth, InitialPose, Message, Odometry
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.cli.app import app
-from slam.events import Finished
+from slam.events import EventRecorder, Finished
 from slam.io.sessions import StoredSession
-
-from .listeners import EventCollector
 
 DURATION = 14.0
 LATER = 10.0
@@ -71,7 +69,7 @@ def localise(session: StoredSession, messages: list[Message], start: se2.Pose | 
 
 @pytest.mark.parametrize("frozen", [True, False])
 def test_the_robot_is_localised_from_the_first_scan(drive: list[Message], session: StoredSession, frozen: bool) -> None:
-    events = EventCollector()
+    events = EventRecorder()
     start = rough(true_pose(drive, LATER))
     slam = Slam(sinks=[events], resumed=copy.deepcopy(session), frozen=frozen, start=start)
     for message in later(drive):

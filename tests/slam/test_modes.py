@@ -16,12 +16,10 @@ from slam.config import Config, config_to_toml
 from slam.errors import MapError
 from slam.estimation.journal import UNDECIDED_SCANS
 from slam.evaluation.metrics import score_reference
-from slam.events import Finished, ModeChanged
+from slam.events import EventRecorder, Finished, ModeChanged
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_session, write_session
 from slam.io.tum import Trajectory
-
-from .listeners import EventCollector
 
 DURATION = 40.0
 FREEZE, UNFREEZE = 14.0, 26.0
@@ -53,7 +51,7 @@ def largest_error(finished: Finished, messages: list[Message]) -> float:
 
 
 def test_the_map_stays_as_it_is_between_and_the_path_has_no_gap(messages: list[Message], tmp_path: Path) -> None:
-    events = EventCollector()
+    events = EventRecorder()
     slam = Slam(sinks=[events])
     with pytest.raises(MapError, match="nothing is mapped yet"):
         slam.freeze()
@@ -82,7 +80,7 @@ def test_the_map_stays_as_it_is_between_and_the_path_has_no_gap(messages: list[M
 def test_modes_that_are_set_again_change_nothing(messages: list[Message]) -> None:
     paths = []
     for again in (False, True):
-        events = EventCollector()
+        events = EventRecorder()
         slam = Slam(sinks=[events])
         rest = add_until(slam, messages, 10.0)
         if again:

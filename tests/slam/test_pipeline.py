@@ -16,7 +16,7 @@ from drivers.simulation import LidarModel, Simulation
 from slam import Config, Slam
 from slam.errors import MapError, SlamError
 from slam.evaluation.metrics import score_reference
-from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, Notice, ScanTracked
+from slam.events import EventRecorder, Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, Notice, ScanTracked
 from slam.io.tum import Trajectory
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
@@ -25,10 +25,8 @@ from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.mapper import Mapper
 from slam.preprocessing.deskew import sweep_middle
 
-from .listeners import EventCollector
 
-
-def run(messages: Iterable[Message], config: Config | None = None, listener: EventCollector | None = None) -> Finished:
+def run(messages: Iterable[Message], config: Config | None = None, listener: EventRecorder | None = None) -> Finished:
     slam = Slam(config, [listener] if listener else [])
     for message in messages:
         slam.add(message)
@@ -84,7 +82,7 @@ def test_a_robot_that_only_stands_maps_what_it_sees_but_not_who_passes(drive: li
 def test_odometry_that_contradicts_a_scan_is_a_warning_only_if_it_is_far_off(
     drive: list[Message], jump: list[float], levels: list[str]
 ) -> None:
-    listener, last = EventCollector(), np.zeros(3)
+    listener, last = EventRecorder(), np.zeros(3)
     slam = Slam(sinks=[listener])
     for message in drive:
         if isinstance(message, Odometry) and message.stamp <= 8.0:
@@ -130,7 +128,7 @@ def test_a_room_has_its_walls_and_corners(drive_result: Finished) -> None:
 
 
 def test_events_are_complete_and_in_order(drive: list[Message]) -> None:
-    listener = EventCollector()
+    listener = EventRecorder()
     finished = run(drive, listener=listener)
     scans = [message for message in drive if isinstance(message, Scan)]
     keyframes, tracked = listener.of(KeyframeAdded), listener.of(ScanTracked)
@@ -155,7 +153,7 @@ def test_events_are_complete_and_in_order(drive: list[Message]) -> None:
 
 
 def test_walls_are_counted_while_mapping_as_in_the_finished_map(drive: list[Message]) -> None:
-    listener = EventCollector()
+    listener = EventRecorder()
     finished = run(drive, listener=listener)
     counts = [event.counts for event in listener.of(KeyframeAdded)]
     assert counts[0] == {"walls": 0, "corners": 0, "keyframes": 1}  # one keyframe confirms no wall
@@ -164,7 +162,7 @@ def test_walls_are_counted_while_mapping_as_in_the_finished_map(drive: list[Mess
 
 
 def test_repeated_runs_with_and_without_sinks_are_identical(drive: list[Message], drive_result: Finished) -> None:
-    again = run(drive, listener=EventCollector())
+    again = run(drive, listener=EventRecorder())
     assert again.poses.tobytes() == drive_result.poses.tobytes()
     assert again.walls.frame.tobytes() == drive_result.walls.frame.tobytes()
     assert again.walls.covariance.tobytes() == drive_result.walls.covariance.tobytes()
@@ -174,7 +172,7 @@ def test_repeated_runs_with_and_without_sinks_are_identical(drive: list[Message]
 def test_sinks_receive_what_they_handle_and_the_rest_is_not_built(
     drive: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Notices(EventCollector):
+    class Notices(EventRecorder):
         handled = (Notice, ScanTracked)
 
     def fail(*_: object) -> None:
@@ -191,7 +189,7 @@ def test_sinks_receive_what_they_handle_and_the_rest_is_not_built(
 def test_events_of_scans_are_not_built_if_no_sink_receives_them(
     drive: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Notices(EventCollector):
+    class Notices(EventRecorder):
         handled = (Notice,)
 
     class Unwanted(ScanTracked):
@@ -271,7 +269,7 @@ def test_a_run_of_empty_scans_is_bridged_by_odometry(drive_with_frequent_scans: 
         else message
         for message in drive
     ]
-    listener = EventCollector()
+    listener = EventRecorder()
     finished = run(messages, listener=listener)
     assert error(finished, drive) < 0.03
     health = finished.summary["health"]
@@ -300,7 +298,7 @@ def test_a_path_without_scans_at_its_ends_is_a_warning(
     drive: list[Message], first: float, last: float, where: str
 ) -> None:
     """There the path is by odometry alone, however far the robot drives."""
-    listener = EventCollector()
+    listener = EventRecorder()
     run([m for m in drive if not isinstance(m, Scan) or first <= m.stamp - drive[0].stamp <= last], listener=listener)
     (text,) = [notice.text for notice in listener.of(Notice) if notice.level == "WARN"]
     assert f"{where} scan the robot drives" in text

@@ -17,7 +17,7 @@ from slam import Slam
 from slam.config import Config, LoopClosureConfig, config_to_toml
 from slam.errors import MapError
 from slam.evaluation.metrics import align
-from slam.events import Finished, Notice
+from slam.events import EventRecorder, Finished, Notice
 from slam.geometry.segments import Floats
 from slam.io.exports import OccupancyGrid, Thresholds, place_scans, write_pgm, write_pgm_yaml
 from slam.io.output_dir import CONFIG
@@ -30,7 +30,6 @@ from slam.mapping.plan_map import PlanMap, build_plan_map
 from slam.offline.map_diff import ChangeKind
 from slam.offline.map_diff.plan import compare_with_plan, survey_plan
 
-from .listeners import EventCollector
 from .simulated_worlds import furnished_room
 
 FEW_BEAMS = LidarModel(beams=360, rate=5.0)
@@ -109,7 +108,7 @@ def test_short_walls_of_a_coarse_plan_have_an_uncertain_heading(precision: float
 def test_a_map_is_recognised_in_a_plan_and_is_in_its_frame(
     drive: list[Message], without_plan: Finished, tmp_path: Path
 ) -> None:
-    listener = EventCollector()
+    listener = EventRecorder()
     slam = Slam(sinks=[listener], plan=office())
     finished = run(drive, slam)
     assert [notice.text for notice in listener.of(Notice)] == ["recognised in the plan"]
@@ -260,7 +259,7 @@ def test_a_refined_map_is_supported_by_the_plan(sparse_drive: list[Message]) -> 
 def test_a_plan_of_another_building_is_left_out(sparse_drive: list[Message]) -> None:
     segments = load_world("museum").segments.reshape(-1, 2, 2)
     museum = build_plan_map(Plan("museum", segments, np.zeros(len(segments), dtype=bool), 1e-3), SIGMAS)
-    listener = EventCollector()
+    listener = EventRecorder()
     slam = Slam(sinks=[listener], plan=museum)
     run([message for message in sparse_drive if message.stamp < 10.0], slam)
     assert any("never recognised in the plan" in notice.text for notice in listener.of(Notice))

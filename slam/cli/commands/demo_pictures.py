@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ...events import Sink, StateChanged
+from ...events import EventRecorder, Sink, StateChanged
 from ...io.output_dir import KEYFRAMES, PICTURE
 from ..output_files import make_directory
 from .demo_buildings import draw_office_changes, draw_office_plan, draw_second_half
 from .demo_drawings import draw_changes, draw_forbidden_loop, draw_grid, draw_map, draw_measurements
-from .demo_recorders import ClosureRecorder, EventRecorder
+from .demo_recorders import ClosureRecorder, true_trajectory
 
 if TYPE_CHECKING:
     from drivers.messages import Source
@@ -170,7 +170,10 @@ def _office(directory: Path, scratch: Path) -> None:
     recorder = _map(OFFICE, scratch / "out")
     keyframes = read_keyframes(scratch / "out" / KEYFRAMES)
     plot_consistency(
-        directory / "honesty.png", keyframes, recorder.truth(), title="Errors in the office and their stated deviations"
+        directory / "honesty.png",
+        keyframes,
+        true_trajectory(recorder),
+        title="Errors in the office and their stated deviations",
     )
 
 
@@ -195,7 +198,9 @@ def _corridors(directory: Path, scratch: Path) -> None:
     for name, spec in CORRIDORS.items():
         out = scratch / str(len(drives))
         recorder = _map(spec, out)
-        drives.append(CorridorRun(name, read_keyframes(out / KEYFRAMES), recorder.truth(), recorder.of(StateChanged)))
+        drives.append(
+            CorridorRun(name, read_keyframes(out / KEYFRAMES), true_trajectory(recorder), recorder.of(StateChanged))
+        )
     plot_corridors(directory / "corridors.png", drives, title="There and back: uncertainty along the corridor")
 
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar, TypeVar
+from typing import ClassVar
 
 import numpy as np
 
 from ...errors import MapError
-from ...events import Event, GroundTruthReceived, LoopDecided, MapUpdated
+from ...events import Event, EventRecorder, GroundTruthReceived, LoopDecided, MapUpdated
 from ...io.tum import Trajectory
 from ...loop_closure.loop_status import LoopStatus
-
-Kind = TypeVar("Kind")
 
 
 class ClosureRecorder:
@@ -46,21 +44,7 @@ class ClosureRecorder:
         plot_closure(path, self.decided, self.after)
 
 
-class EventRecorder:
-    """Sink that keeps all events."""
-
-    def __init__(self) -> None:
-        self.events: list[Event] = []
-
-    def handle(self, event: Event) -> None:
-        """Keep one event."""
-        self.events.append(event)
-
-    def of(self, kind: type[Kind]) -> list[Kind]:
-        """Return all events of one kind, in their order."""
-        return [event for event in self.events if isinstance(event, kind)]
-
-    def truth(self) -> Trajectory:
-        """Return the true trajectory, in the world's frame."""
-        events = self.of(GroundTruthReceived)
-        return Trajectory(np.array([event.stamp for event in events]), np.array([event.pose for event in events]))
+def true_trajectory(recorder: EventRecorder) -> Trajectory:
+    """Return the true trajectory of a run, in the world's frame."""
+    events = recorder.of(GroundTruthReceived)
+    return Trajectory(np.array([event.stamp for event in events]), np.array([event.pose for event in events]))

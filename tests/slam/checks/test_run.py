@@ -16,9 +16,8 @@ from slam import Slam
 from slam.checks.suspect import UNCONSTRAINED
 from slam.cli.run_summary import SHOWN_SUSPECTS, RunResult, format_summary
 from slam.evaluation.benchmarks.scenarios.buildings import wide_hall
-from slam.events import Finished, SuspectFound
+from slam.events import EventRecorder, Finished, SuspectFound
 
-from ..listeners import EventCollector
 from .drives import LIDAR
 
 DURATION, FIRST, LAST = 40.0, 15.0, 28.0
@@ -44,8 +43,8 @@ def messages(*, carried: bool) -> list[Message]:
     return kept
 
 
-def run(drive: list[Message]) -> tuple[Finished, EventCollector]:
-    listener = EventCollector()
+def run(drive: list[Message]) -> tuple[Finished, EventRecorder]:
+    listener = EventRecorder()
     slam = Slam(sinks=[listener])
     for message in drive:
         slam.add(message)

@@ -21,7 +21,7 @@ from slam.estimation.refinement.landmark_recount import recount_observations
 from slam.estimation.slam_state import SlamState
 from slam.evaluation.benchmarks.scenarios.buildings import random_building
 from slam.evaluation.metrics import score_reference
-from slam.events import GraphInspected, MapUpdated
+from slam.events import EventRecorder, GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Segments
 from slam.io.tum import Trajectory
 from slam.localisation.match_target import MatchTarget, ScanMatch
@@ -36,7 +36,6 @@ from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 
-from ..listeners import EventCollector
 from ..outlines import visible, with_noise
 
 TWIN_DISTANCE = 0.03  # metres between a wall and its false twin
@@ -306,7 +305,7 @@ def test_matches_and_loops_by_agreement_are_kept() -> None:
 
 def test_refinement_is_reproducible_and_publishes_the_map() -> None:
     messages = list(Simulation("room", seed=5, duration=8.0))
-    listener = EventCollector()
+    listener = EventRecorder()
     results = []
     for _ in range(2):
         slam = Slam(sinks=[listener], refine=True)

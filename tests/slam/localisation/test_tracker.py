@@ -14,7 +14,7 @@ from drivers.simulation import LidarModel, Simulation, load_world
 from slam import Finished, Slam
 from slam.config import OdometryConfig
 from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
-from slam.events import Notice
+from slam.events import EventRecorder, Notice
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.match_target import MatchTarget
 from slam.localisation.tracker import Tracker
@@ -27,7 +27,6 @@ from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.predicted_motion import PredictedMotionModel
 
-from ..listeners import EventCollector
 from ..outlines import noisy_field, outline, scan_points, visible, with_noise
 
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
@@ -123,7 +122,7 @@ class LateOdometry:
 
 def drive(source: Iterable[Message]) -> tuple[Finished, Floats, list[str]]:
     """Return the result, the errors of the keyframes (k, 2) in metres and radians, and the texts of notices."""
-    listener, truth = EventCollector(), []
+    listener, truth = EventRecorder(), []
     slam = Slam(sinks=[listener])
     for message in source:
         slam.add(message)

@@ -12,13 +12,11 @@ from drivers.messages import Message
 from drivers.simulation import LidarModel, Simulation, TemporaryShapes, World
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.events import Finished, WallsRemoved
+from slam.events import EventRecorder, Finished, WallsRemoved
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import StoredSession, read_session, write_session
 from slam.mapping.map_features import MapWalls
 from slam.mapping.wall_cells import WALL_CELL
-
-from ..listeners import EventCollector
 
 LIDAR = LidarModel(beams=240, rate=5.0)
 NOTHING = np.zeros((0, 4)), np.zeros((0, 3))
@@ -52,7 +50,7 @@ def run(
     resumed: StoredSession | None = None,
     *,
     refine: bool = False,
-    sinks: Sequence[EventCollector] = (),
+    sinks: Sequence[EventRecorder] = (),
 ) -> tuple[Slam, Finished]:
     slam = Slam(resumed=resumed, refine=refine, sinks=sinks)
     for message in messages:
@@ -95,7 +93,7 @@ def test_a_partition_that_is_gone_leaves_the_map_and_stays_in_the_session(
     furnished: Path, tmp_path: Path, refine: bool
 ) -> None:
     before = read_session(furnished).slam_state.mapper
-    listener = EventCollector()
+    listener = EventRecorder()
     slam, finished = run(drive(world(), seed=2, shift=1000.0), read_session(furnished), refine=refine, sinks=[listener])
     removed = [wall for event in listener.of(WallsRemoved) for wall in event.walls]
     assert sorted(removed) == slam.slam_state.mapper.landmarks.removed_walls().tolist()

@@ -15,7 +15,7 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam.estimation import closure_monitor
 from slam.evaluation.benchmarks.lookalike import MAX_ANGLE_ERROR, MAX_ERROR, MIN_NEEDED_DRIFT
 from slam.evaluation.benchmarks.loop_scoring import LoopScorer
-from slam.events import Event, GraphInspected, KeyframeAdded, LoopDecided, MapUpdated
+from slam.events import Event, EventRecorder, GraphInspected, KeyframeAdded, LoopDecided, MapUpdated
 from slam.graph.residuals import CORNER, GAUGE_PRIOR, ODOMETRY, WALL, WALL_EQUALITY
 from slam.loop_closure.loop_status import LoopStatus
 from slam.pipeline import Slam
@@ -24,7 +24,6 @@ from slam.visualisation.rerun_log.rrd_reader import Row, chunks_of, rows
 from slam.visualisation.rerun_log.shapes import segment_ends
 
 from ..corridor import of_kind
-from ..listeners import EventCollector
 
 pytestmark = pytest.mark.shared_run
 
@@ -46,7 +45,7 @@ class Logged(NamedTuple):
 
 @pytest.fixture(scope="module")
 def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
-    path, listener = tmp_path_factory.mktemp("loops") / "review.rrd", EventCollector()
+    path, listener = tmp_path_factory.mktemp("loops") / "review.rrd", EventRecorder()
     with pytest.MonkeyPatch.context() as patch, ReviewLog(path, complete=True) as review:
         # Every closure is retracted at its first check, some keyframes after acceptance.
         patch.setattr(closure_monitor, "CHECK_INTERVAL", 6.0)

@@ -1,24 +1,25 @@
-"""A listener for tests that collects the pipeline's events."""
+"""Sink that keeps all events."""
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from slam.events import Event
+if TYPE_CHECKING:
+    from . import Event
 
 Kind = TypeVar("Kind")
 
 
-class EventCollector:
-    """A sink that keeps every event, in order."""
+class EventRecorder:
+    """Sink that keeps all events, in their order."""
 
     def __init__(self) -> None:
         self.events: list[Event] = []
 
     def handle(self, event: Event) -> None:
-        """Append one event."""
+        """Keep one event."""
         self.events.append(event)
 
     def of(self, kind: type[Kind]) -> list[Kind]:
-        """Return all events of one type, in order."""
+        """Return all events of one type, in their order."""
         return [event for event in self.events if isinstance(event, kind)]
