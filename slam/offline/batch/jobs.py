@@ -20,6 +20,7 @@ from ...config import Config
 from ...errors import OutputError, RecordingError
 from ...io.output_dir import KEYFRAMES, MAP, PICTURE, REPORT, REVIEW, SESSION, SUMMARY, TRAJECTORY
 from ...io.recordings import SIMULATION, absolute_recording
+from .figures import has_figures
 
 REPLAY = "replay:"
 """Prefix of a recording that is replayed in real time."""
@@ -156,7 +157,7 @@ def read_completed_summary(job: Job) -> dict[str, Any] | None:
             f"{job.directory}: contains the results of {recording}; choose another --out or add --overwrite"
         )
     complete = all((job.directory / name).exists() for name in job.options.results())
-    return summary if complete and found == fingerprint(job) else None
+    return summary if complete and found == fingerprint(job) and has_figures(summary) else None
 
 
 def remove_leftovers(job: Job) -> None:

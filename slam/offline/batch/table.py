@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...io.unfinished_file import unfinished_file
-from ...loop_closure.loop_status import LoopStatus
+from .figures import Figures
 from .jobs import Job
 
 
@@ -69,19 +69,19 @@ def make_row(job: Job, status: Status, summary: dict[str, Any] | None = None, er
     log = str(job.log) if job.log.exists() else None
     if summary is None:
         return Row(job.name, job.recording, status, error=error, log=log)
-    loops = (summary.get("slam") or {}).get("loops") or {}
+    figures = Figures.model_validate(summary)
     return Row(
         job.name,
         job.recording,
         status,
-        duration=summary.get("duration"),
-        path_length=summary.get("path_length"),
-        scans=summary.get("scans"),
-        keyframes=summary.get("keyframes"),
-        loops=loops.get(LoopStatus.ACCEPTED, 0) - loops.get(LoopStatus.RETRACTED, 0) if loops else None,
-        seconds=summary.get("wall_seconds"),
-        memory=summary.get("peak_memory_mib"),
-        error_rmse=(summary.get("truth") or {}).get("ate_rmse"),
+        duration=figures.duration,
+        path_length=figures.path_length,
+        scans=figures.scans,
+        keyframes=figures.keyframes,
+        loops=figures.closures,
+        seconds=figures.wall_seconds,
+        memory=figures.peak_memory_mib,
+        error_rmse=None if figures.truth is None else figures.truth.ate_rmse,
         error=error,
         log=log,
     )

@@ -141,6 +141,24 @@ def test_directory_with_an_invalid_summary_is_not_complete(job: Job, content: st
     assert read_completed_summary(job) is None
 
 
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"scans": "x"},
+        {"keyframes": [1]},
+        {"scans": 1 << 70},
+        {"duration": {}},
+        {"truth": 5},
+        {"slam": [1]},
+        {"slam": {"loops": {"accepted": "x"}}},
+    ],
+    ids=str,
+)
+def test_results_whose_figures_are_damaged_are_not_complete(job: Job, values: dict[str, Any]) -> None:
+    write_fake_results(job, **values)
+    assert read_completed_summary(job) is None
+
+
 def test_leftovers_of_killed_workers_are_removed_and_nothing_else(job: Job) -> None:
     out = job.directory.parent
     for name in (".a-0123abc_", ".a-0123abc_-old", ".a-b-0123abc_", ".a-short", "a", "b", ".ax-0123abc_"):
