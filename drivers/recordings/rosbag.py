@@ -77,6 +77,8 @@ class BagReader(RosReader):
             reader = self._reader()
             stack.enter_context(reader)
             self._stored_topics = {c.topic: c.msgtype for c in reader.connections}
+            if not all(isinstance(text, str) for pair in self._stored_topics.items() for text in pair):
+                raise ValueError("a topic or its type is no text")
             connections = [c for c in reader.connections if c.msgtype in self._types]
             stored = reader.messages(connections) if connections else iter(())
         except DecompressionError as error:

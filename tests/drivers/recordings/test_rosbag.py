@@ -311,3 +311,12 @@ def test_a_message_without_data_is_skipped(tmp_path: Path, write_bag: WriteBag, 
     source = drivers.open(bag)
     assert len(list(source)) == 2
     assert source.report.reasons == {"message has no data": 1}
+
+
+@pytest.mark.parametrize("name", ["3", "null", "[a]", "true"])
+def test_metadata_whose_topic_is_no_text_is_refused(write_bag: WriteBag, tmp_path: Path, name: str) -> None:
+    bag = write_bag(tmp_path / "bag", [laser_scan(k * 10**8, [1.0] * 5) for k in range(3)])
+    metadata = (bag / "metadata.yaml").read_text()
+    (bag / "metadata.yaml").write_text(metadata.replace("name: /scan", f"name: {name}"))
+    with pytest.raises(RecordingError, match="bag: is damaged or not a bag: "):
+        list(drivers.open(bag))
