@@ -103,7 +103,7 @@ def sweep_middle(scan: Scan) -> float:
 def lidar_mount(scan: Scan, lidar: LidarConfig) -> se2.Pose:
     """Return the lidar's pose on the base [x, y, heading]: as configured, else as recorded, else zero.
 
-    Raises MapError if a recording places it where no lidar is: with another unit, or relative to another frame.
+    Raises MapError if the scan states a place where no lidar is: in another unit, or relative to another frame.
     """
     if lidar.mount is not None:
         return np.array(lidar.mount)
@@ -111,7 +111,7 @@ def lidar_mount(scan: Scan, lidar: LidarConfig) -> se2.Pose:
         return np.zeros(3)
     if not (np.isfinite(scan.mount).all() and np.abs(scan.mount[:2]).max() <= MAX_MOUNT):
         place = f"x {scan.mount[0]:g} m, y {scan.mount[1]:g} m"
-        raise MapError(f"the lidar is mounted at {place} by the transforms; lidar.mount=[x,y,heading] states it")
+        raise MapError(f"no lidar is mounted at {place}, as these scans state; lidar.mount=[x,y,heading] corrects it")
     return scan.mount
 
 

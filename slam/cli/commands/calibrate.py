@@ -24,11 +24,15 @@ def calibrate(
     ],
     wheel_radius: Annotated[
         float | None,
-        typer.Option("--wheel-radius", min=0.001, help="Wheel radius in metres with which the odometry was recorded."),
+        typer.Option(
+            "--wheel-radius", min=0.001, max=10, help="Wheel radius in metres with which the odometry was recorded."
+        ),
     ] = None,
     track: Annotated[
         float | None,
-        typer.Option("--track", min=0.001, help="Distance between the wheels in metres, of the recorded odometry."),
+        typer.Option(
+            "--track", min=0.001, max=100, help="Distance between the wheels in metres, of the recorded odometry."
+        ),
     ] = None,
     config: ConfigOption = None,
     settings: SetOption = None,

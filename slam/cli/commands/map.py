@@ -51,7 +51,9 @@ def export_map(
     recording: Annotated[
         str | None, typer.Option("--recording", metavar="FILE", help="pgm, ply: recording, if it has been moved.")
     ] = None,
-    resolution: Annotated[float, typer.Option("--resolution", min=0.001, help="pgm: cell size in metres.")] = 0.05,
+    resolution: Annotated[
+        float, typer.Option("--resolution", min=0.001, max=100, help="pgm: cell size in metres.")
+    ] = 0.05,
     occupied: Annotated[
         float,
         typer.Option("--occupied", min=0, max=1, help="pgm: min. share of beams ending in an occupied cell, 0 to 1."),

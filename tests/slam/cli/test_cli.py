@@ -397,8 +397,9 @@ def test_calibrate_names_the_recording_that_it_cannot_use(wclm: Any) -> None:
 
 
 @pytest.mark.parametrize("option", ["--wheel-radius", "--track"])
-def test_calibrate_refuses_wheels_without_a_size(wclm: Any, option: str) -> None:
-    wclm.refuses("calibrate", "drive.mcap", option, "0", because=[option, "greater than"])
+@pytest.mark.parametrize("size", ["0", "inf", "nan"])
+def test_calibrate_refuses_wheels_without_a_size(wclm: Any, option: str, size: str) -> None:
+    wclm.refuses("calibrate", "drive.mcap", option, size, because=[option, "Input should be"])
 
 
 @pytest.mark.parametrize("option", ["--wheel-radius", "--track"])

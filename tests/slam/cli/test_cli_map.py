@@ -46,6 +46,12 @@ def test_dxf_without_ezdxf_names_the_extra(wclm: Any, ran: Path, monkeypatch: py
     assert {file.name for file in ran.iterdir()} == before
 
 
+@pytest.mark.parametrize("resolution", ["0", "-1", "nan", "inf", "1e300"])
+def test_cells_have_a_size_that_a_map_can_have(wclm: Any, ran: Path, resolution: str) -> None:
+    arguments = ["--format", "pgm", "--resolution", resolution]
+    wclm.refuses("map", ran, *arguments, because=["--resolution", "Input should be"])
+
+
 def test_no_picture_is_written_if_its_yaml_file_exists(wclm: Any, ran: Path) -> None:
     (ran / "map.yaml").write_text("mine")
     wclm.refuses("map", ran, "--format", "pgm", because=["out/map.yaml: exists already"])
