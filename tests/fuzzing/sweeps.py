@@ -1,6 +1,6 @@
 """Damage of one value after the other, and the commands that read it: `python -m tests.fuzzing.sweeps --help`.
 
-Each value of JSON, each column of text, and each value of settings is replaced by values of other kinds, left out or
+Each value of JSON, of settings, and of columns of text and of tables is replaced by values of other kinds, left out or
 cut off. A command then succeeds, or it prints one line that names the file, has exit status 2 and writes nothing.
 """
 
@@ -119,8 +119,8 @@ def make_files(folder: Path) -> None:
     succeed(["correct", str(folder / "run"), "--delete-wall", "0", "--out", str(folder / "corrected")])
     for suffix in ("geojson", "dxf", "svg"):
         succeed(["map", str(folder / "other"), "--format", suffix, "--out", str(folder / f"plan.{suffix}")])
-    drive = list(Simulation("room", seed=3, duration=2.0, lidar=LidarModel(beams=90, rate=5.0)))
-    write_bag2(folder / "bag", ros_entries(drive, RosEncoder()), StoragePlugin.SQLITE3)
+    messages = list(Simulation("room", seed=3, duration=2.0, lidar=LidarModel(beams=90, rate=5.0)))
+    write_bag2(folder / "bag", ros_entries(messages, RosEncoder()), StoragePlugin.SQLITE3)
     succeed(["map", str(folder / "other"), "--format", "pgm", "--out", str(folder / "grid.pgm")])
     lines = (folder / "run" / TRAJECTORY).read_text().splitlines()
     (folder / "reference.tum").write_text("\n".join(lines[::3]) + "\n")
