@@ -133,7 +133,7 @@ def check_run(
     predicted  true if motions are predicted, as there is no odometry
     """
     placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
-    drive = drive_of(journal.scans, journal.segments.starts, placed, state.odometry_model, start)
+    drive = drive_of(journal.scans, journal.segments, placed, state.odometry_model, start)
     suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps, start), *find_suspects(drive)]
     if predicted:
         suspects += unconstrained_stretches(state.trajectory, state.mapper.keyframe_poses, state.odometry_model)

@@ -37,6 +37,7 @@ from .loop_closure.submap_search import build_submap, search_submap
 from .mapping.convergence import converge
 from .mapping.landmarks import Landmarks
 from .mapping.local_map import empty_local_map
+from .mapping.odometry_segments import OdometrySegments
 from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
 from .matching.distance_field import DistanceField
@@ -146,7 +147,7 @@ def compile_estimation() -> None:
     history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model)
     placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
-    find_suspects(drive_of(scans, [0], placed, state.odometry_model, 0.0))
+    find_suspects(drive_of(scans, OdometrySegments(starts=[0]), placed, state.odometry_model, 0.0))
     final_result(state, placed, history.sweep_covariances, {})
 
 

@@ -12,6 +12,7 @@ from drivers.elapsed import elapsed
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from ..mapping.mapper import Mapper
+from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
@@ -37,24 +38,24 @@ SHOWN_PARTS = 4
 
 def drive_of(
     scans: Sequence[ProcessedScan],
-    starts: Sequence[int],
+    segments: OdometrySegments,
     placed: tuple[Floats, Floats],
     odometry_model: OdometryModel,
     start: float,
 ) -> Drive:
     """Return the drive for the checks.
 
-    scans   all scans in time order
-    starts  index in `scans` of the first scan of each odometry segment
-    placed  stamps (m,) and final poses (m, 3) of the scans that have a pose, in time order; the others are left out
-    start   stamp (seconds) from which times in texts are counted
+    scans     all scans in time order
+    segments  odometry, with indices in `scans`
+    placed    stamps (m,) and final poses (m, 3) of the scans that have a pose, in time order; the others are left out
+    start     stamp (seconds) from which times in texts are counted
     """
     scans = ScanSequence.of(scans)
     stamps, poses = placed
     of_scans = scans.stamps
     found = np.minimum(np.searchsorted(stamps, of_scans), max(len(stamps) - 1, 0))
     rows = np.flatnonzero(stamps[found] == of_scans) if len(stamps) else np.zeros(0, dtype=np.int64)
-    segment = np.searchsorted(np.asarray(starts, dtype=np.int64), rows, side="right")
+    segment = np.searchsorted(np.asarray(segments.starts, dtype=np.int64), rows, side="right")
     return Drive(
         stamps=of_scans[rows],
         poses=poses[found[rows]],
@@ -65,6 +66,7 @@ def drive_of(
         floors=odometry_model.floors,
         measured=odometry_model.measured,
         start=start,
+        readings=np.concatenate([np.zeros(0), *(history.stamps for history in segments.histories)]),
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Drive:
     floors      (2,) standard deviations of a single odometry reading, metres and radians
     measured    False if odometry is predicted at constant velocity
     start       stamp (seconds) from which times in texts are counted
+    readings    (m,) stamps of the odometry readings; between two of them odometry is interpolated. Without any, there
+                is one at each scan
     """
 
     stamps: Floats
@@ -45,6 +47,7 @@ class Drive:
     floors: Floats
     measured: bool = True
     start: float = 0.0
+    readings: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -63,7 +66,23 @@ class Drive:
             self.floors,
             self.measured,
             self.start,
+            self.readings,
         )
+
+    def between_readings(self, first: int, last: int) -> tuple[int, int]:
+        """Return the rows from `first` to `last`, widened to the last scan before and the first one after, if any.
+
+        The motion between these contains no part of a motion between two odometry readings, whose course is not known.
+        """
+        if not len(self.readings):
+            return first, last
+        before = np.searchsorted(self.readings, self.stamps[first], side="right") - 1
+        after = np.searchsorted(self.readings, self.stamps[last])
+        if before >= 0:
+            first = max(int(np.searchsorted(self.stamps, self.readings[before], side="right")) - 1, 0)
+        if after < len(self.readings):
+            last = min(int(np.searchsorted(self.stamps, self.readings[after])), len(self) - 1)
+        return first, last
 
     def travelled(self) -> Floats:
         """Return the metres of wheel travel (n,) along the path up to each scan."""

@@ -90,13 +90,14 @@ def _text(drive: Drive, steps: Steps, k: int) -> str:
 def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
     """Yield the intervals in which the scans show that odometry is wrong by a large share of the motion.
 
-    A late reading is not such an error: odometry must also be wrong from the scan before the interval to the one after.
+    A late reading is not such an error, nor is a motion between two readings that was not even: odometry must also be
+    wrong from the scan before the interval to the one after, with no reading missing in between.
     The path may be wrong there by as much as the scans in between are misplaced, so odometry must be wrong by more.
     """
     misplaced = _misplacements(drive, steps)
     for group in consecutive_groups(np.flatnonzero(steps.slip > 0.0), MAX_GAP):
         evidence = float(steps.slip[group].sum())
-        before, after = max(int(group[0]) - 1, 0), min(int(group[-1]) + 2, len(drive) - 1)
+        before, after = drive.between_readings(max(int(group[0]) - 1, 0), min(int(group[-1]) + 2, len(drive) - 1))
         driven = se2.between(drive.poses[before], drive.poses[after])
         measured = se2.between(drive.odometry[before], drive.odometry[after])
         wrong = se2.between(measured, driven)

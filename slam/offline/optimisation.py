@@ -77,7 +77,7 @@ def summarise_session(session: StoredSession, summary: dict[str, Any], publisher
     poses = state.mapper.keyframe_poses
     path = segments.trajectory(state.trajectory, poses)
     start = float(path[0][0])
-    drive = drive_of(session.scans, session.starts, state.trajectory.at_scans(poses), state.odometry_model, start)
+    drive = drive_of(session.scans, segments, state.trajectory.at_scans(poses), state.odometry_model, start)
     suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps, start), *find_suspects(drive)]
     publisher.publish_suspects(suspects, state.keyframe_stamps, start)
     history = session.scan_history()

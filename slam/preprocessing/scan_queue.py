@@ -16,9 +16,10 @@ from drivers.messages import Scan
 
 from .deskew import sweep_middle
 
-# Scans in the queue above which the oldest is processed without odometry covering its sweep.
-# Origin: chosen, two seconds at 10 Hz; not measured.
-MAX_QUEUED_SCANS = 20
+# Scans that wait, and seconds between the first and the last of them, above both of which the oldest is processed
+# without odometry covering its sweep, as if the robot stood. The motion is interpolated in shorter gaps of odometry.
+# Origin: chosen, a base that is reconnected answers within seconds; not measured.
+MAX_QUEUED_SCANS, MAX_QUEUED_SECONDS = 20, 10.0
 # Begin and end of the window, in intervals between scans of the first lidar, from the middle of its scan. With lidars
 # of equal rate each window of one interval has a scan in it; a quarter more is for uneven stamps. It ends early, as a
 # scan waits until then. Origin: geometry.
@@ -33,7 +34,7 @@ INTERVALS = 5
 # Share of an interval after which the next scan is expected at the earliest. Origin: chosen, as the margin of WINDOW.
 EARLIEST = 0.75
 # Seconds without a scan of the second lidar from which on it is not waited for. Origin: chosen, several periods of
-# common lidars, and less than MAX_QUEUED_SCANS take at 40 Hz.
+# common lidars, and much less than MAX_QUEUED_SECONDS.
 MAX_ABSENCE = 0.4
 
 
@@ -80,8 +81,10 @@ class ScanQueue:
 
     @property
     def is_full(self) -> bool:
-        """True if more scans wait than should."""
-        return len(self) > MAX_QUEUED_SCANS
+        """True if more scans wait, and for longer, than should."""
+        if len(self) <= MAX_QUEUED_SCANS:
+            return False
+        return self._first[-1].stamp - self._first[0].stamp > MAX_QUEUED_SECONDS
 
     def add(self, scan: Scan) -> None:
         """Append a scan."""
@@ -105,7 +108,7 @@ class ScanQueue:
         covered  stamp up to which odometry is known, seconds
         flush    no more messages will come, so that nothing is waited for
 
-        A scan that would have to wait is also returned if more than MAX_QUEUED_SCANS wait.
+        A scan that would have to wait is also returned if the queue is full.
         """
         if not self._first:
             return None

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.messages import GroundTruth
+from drivers.messages import GroundTruth, Message, Odometry
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
+from slam.evaluation.metrics import score_reference
 from slam.events import EventRecorder, StateChanged
+from slam.io.tum import Trajectory
 
 SHORT_SIGHTED = LidarModel(beams=360, range_max=12.0)
 
@@ -41,3 +46,22 @@ def test_a_bare_corridor_leaves_the_way_along_it_to_odometry(seed: int) -> None:
     assert (np.abs(error[1:]) < 3 * sigmas[1:]).all()
     assert sigmas[:, 1].max() < 0.02  # across, and in heading, the walls hold the robot
     assert sigmas[:, 2].max() < np.radians(0.5)
+
+
+def largest_error(messages: Iterable[Message], truth: Trajectory) -> float:
+    """Return the largest error of the path of a run, metres."""
+    slam = Slam()
+    for message in messages:
+        slam.add(message)
+    result = slam.finish()
+    return float(score_reference(Trajectory(result.stamps, result.poses), truth).figures()["ate_max"])
+
+
+@pytest.mark.parametrize("rate", [10.0, 40.0])
+def test_the_way_along_a_corridor_is_interpolated_over_a_gap_of_odometry(rate: float) -> None:
+    """The wheels count on while their readings are lost, as on a disturbed connection."""
+    drive = list(Simulation("bare_corridor", seed=2, duration=16.0, lidar=replace(SHORT_SIGHTED, rate=rate)))
+    true = [message for message in drive if isinstance(message, GroundTruth)]
+    truth = Trajectory(np.array([one.stamp for one in true]), np.array([one.pose for one in true]))
+    with_gap = [m for m in drive if not (isinstance(m, Odometry) and 8.0 < m.stamp < 12.5)]
+    assert largest_error(with_gap, truth) < largest_error(drive, truth) + 0.02

@@ -10,12 +10,17 @@ import pytest
 from drivers import se2
 from slam.checks.adapter import drive_of, unconnected_parts
 from slam.config import Config
+from slam.mapping.odometry_segments import OdometrySegments
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 
 
 def scans(count: int) -> list[ProcessedScan]:
     return [ProcessedScan(0.5 * k, np.array([0.3 * k, 0.1 * k, 0.2 * k]), NO_FEATURES) for k in range(count)]
+
+
+def segments(*starts: int) -> OdometrySegments:
+    return OdometrySegments(starts=starts)
 
 
 def learned_model() -> OdometryModel:
@@ -28,7 +33,9 @@ def learned_model() -> OdometryModel:
 
 def test_scans_without_a_pose_are_left_out_and_segments_are_kept_apart() -> None:
     poses = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
-    drive = drive_of(scans(5), [0, 3], (np.array([0.5, 1.0, 2.0]), poses), OdometryModel(Config().odometry), 0.0)
+    drive = drive_of(
+        scans(5), segments(0, 3), (np.array([0.5, 1.0, 2.0]), poses), OdometryModel(Config().odometry), 0.0
+    )
     assert drive.stamps.tolist() == [0.5, 1.0, 2.0]
     assert drive.poses.tolist() == poses.tolist()
     assert drive.segment.tolist() == [1, 1, 2]
@@ -37,7 +44,7 @@ def test_scans_without_a_pose_are_left_out_and_segments_are_kept_apart() -> None
 def test_each_motion_of_odometry_is_corrected() -> None:
     given, model = scans(6), learned_model()
     stamps = np.array([scan.stamp for scan in given])
-    drive = drive_of(given, [0], (stamps, np.zeros((6, 3))), model, 0.0)
+    drive = drive_of(given, segments(0), (stamps, np.zeros((6, 3))), model, 0.0)
     odometry = np.array([scan.odometry for scan in given])
     expected = model.correct(se2.between(odometry[:-1], odometry[1:]))
     assert se2.between(drive.odometry[:-1], drive.odometry[1:]) == pytest.approx(expected, abs=1e-12)
@@ -46,7 +53,7 @@ def test_each_motion_of_odometry_is_corrected() -> None:
 
 def test_a_run_without_any_placed_scan_is_an_empty_drive() -> None:
     nothing = (np.zeros(0), np.zeros((0, 3)))
-    assert len(drive_of(scans(3), [0], nothing, OdometryModel(Config().odometry), 0.0)) == 0
+    assert len(drive_of(scans(3), segments(0), nothing, OdometryModel(Config().odometry), 0.0)) == 0
 
 
 def test_only_the_first_of_many_parts_are_named() -> None:

@@ -60,6 +60,22 @@ def test_a_turn_in_a_row_of_wrong_steps_makes_one_suspect() -> None:
     assert found.last < 42.0 + SECONDS
 
 
+def without_readings(drive: Drive, first: float, last: float) -> Drive:
+    """Return the drive as if odometry had no reading between two times, and were interpolated over the gap."""
+    gap = np.arange(row_at(drive, first), row_at(drive, last) + 1)
+    begin, end = drive.odometry[gap[0]], drive.odometry[gap[-1]]
+    shares = (drive.stamps[gap] - drive.stamps[gap[0]]) / (drive.stamps[gap[-1]] - drive.stamps[gap[0]])
+    odometry = drive.odometry.copy()
+    odometry[gap] = se2.compose(begin, shares[:, None] * se2.between(begin, end))
+    return replace(drive, odometry=odometry, readings=np.delete(drive.stamps, gap[1:-1]))
+
+
+def test_an_uneven_motion_without_odometry_readings_is_no_wrong_odometry() -> None:
+    gap = without_readings(simulated_drive("office"), 26.0, 30.0)
+    assert of(ODOMETRY, find_suspects(replace(gap, readings=gap.stamps)))
+    assert not of(ODOMETRY, find_suspects(gap))
+
+
 def slipping(drive: Drive, stamp: float, metres: float) -> np.ndarray:
     """Return odometry whose wheels turn for some metres too much, over two seconds."""
     odometry = drive.odometry

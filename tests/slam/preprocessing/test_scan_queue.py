@@ -10,7 +10,7 @@ import pytest
 
 from drivers.messages import Scan
 from slam.preprocessing.deskew import sweep_middle
-from slam.preprocessing.scan_queue import MAX_ABSENCE, MAX_QUEUED_SCANS, ScanPair, ScanQueue
+from slam.preprocessing.scan_queue import MAX_ABSENCE, MAX_QUEUED_SCANS, MAX_QUEUED_SECONDS, ScanPair, ScanQueue
 
 COUNT = 60
 
@@ -86,6 +86,15 @@ def test_a_single_lidar_waits_for_odometry_only() -> None:
     assert queue.take(7.05) is None
     assert queue.take(7.1) == ScanPair(first)
     assert queue.take(7.1) is None
-    for scan in scans(0, 10.0, 7.2, count=MAX_QUEUED_SCANS):
+    assert queue.take(7.2) == ScanPair(second)
+
+
+@pytest.mark.parametrize("rate", [1.0, 10.0, 40.0])
+def test_odometry_is_not_waited_for_too_long(rate: float) -> None:
+    queue, taken = ScanQueue(), 0
+    waiting = max(MAX_QUEUED_SCANS, round(rate * MAX_QUEUED_SECONDS))
+    for count, scan in enumerate(scans(0, rate, 7.0, count=2 * waiting), start=1):
         queue.add(scan)
-    assert queue.take(0.0) == ScanPair(second)
+        while queue.take(7.0) is not None:
+            taken += 1
+        assert taken == pytest.approx(max(0, count - waiting), abs=1)
