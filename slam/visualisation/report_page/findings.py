@@ -22,6 +22,9 @@ HIGH_ODOMETRY_ERROR = 0.3
 have 0.06 to 0.12; a lidar mounted backwards without a matching `lidar.mount` causes 1.6."""
 MOUNT_ERRORS = {"x": 0.05, "y": 0.05, "heading": 0.03}
 """Errors of the lidar's mount, metres and radians, above which they are reported: those of a ruler, and of the eye."""
+MAX_SCALE = 1.25
+"""Factor by which odometry may over- or underestimate lengths or turns before it is reported. Worn wheels and carpets
+cause some per cent; more is a wrong wheel size, encoder resolution or wheel distance, or tracks that skid in turns."""
 MAX_SHOWN_TIMES = 4
 MAX_SHOWN_SUSPECTS = 10
 SUSPECT_DETAILS = {
@@ -206,6 +209,13 @@ def _odometry_findings(odometry: dict[str, Any]) -> Iterator[Finding]:
             grave=True,
         )
     systematic = odometry.get("systematic", {})
+    for name, noun in (("length", "lengths"), ("turning", "turns")):
+        if (estimate := systematic.get(name)) is not None and _is_wrong_scale(estimate):
+            yield Finding(
+                f"Odometry measures {1.0 / estimate['value']:.2f} times the {noun} that the scans show.",
+                "Wrong wheel size, encoder resolution or wheel distance, or skidding. The scans corrected the map.",
+                grave=True,
+            )
     names = [name for name, limit in MOUNT_ERRORS.items() if _is_beyond(systematic.get(name), limit)]
     if names:
         yield Finding(
@@ -218,6 +228,12 @@ def _odometry_findings(odometry: dict[str, Any]) -> Iterator[Finding]:
 def _is_beyond(estimate: dict[str, float] | None, limit: float) -> bool:
     """Return True if an estimate exceeds a limit, and zero by three standard deviations."""
     return estimate is not None and abs(estimate["value"]) > max(limit, 3.0 * estimate["sigma"])
+
+
+def _is_wrong_scale(estimate: dict[str, float]) -> bool:
+    """Return True if a factor of odometry is beyond MAX_SCALE, or below its inverse, by three standard deviations."""
+    low, high = (estimate["value"] + sigmas * estimate["sigma"] for sigmas in (-3.0, 3.0))
+    return low > MAX_SCALE or (estimate["value"] > 0.0 and high < 1.0 / MAX_SCALE)
 
 
 def _mount_error(systematic: dict[str, dict[str, float]]) -> str:

@@ -156,9 +156,28 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
     assert findings(SUMMARY, make(tmp_path / "out", finished).trajectory) == []
 
 
+@pytest.mark.parametrize(
+    ("factor", "sigma", "text"),
+    [
+        (0.5, 0.02, "Odometry measures 2.00 times the turns that the scans show."),
+        (1.6, 0.02, "Odometry measures 0.62 times the turns that the scans show."),
+        (1.6, 0.2, None),
+        (1.1, 0.01, None),
+        (0.9, 0.01, None),
+    ],
+)
+def test_a_wrong_scale_of_odometry_is_reported(
+    factor: float, sigma: float, text: str | None, tmp_path: Path, finished: Finished
+) -> None:
+    trajectory = make(tmp_path / "out", finished).trajectory
+    errors = {"length": {"value": 1.01, "sigma": 0.01}, "turning": {"value": factor, "sigma": sigma}}
+    found = findings(SUMMARY | {"slam": {"odometry": {"systematic": errors}}}, trajectory)
+    assert [finding.text for finding in found] == ([] if text is None else [text])
+
+
 def test_a_mount_that_the_drive_contradicts_is_a_finding(tmp_path: Path, finished: Finished) -> None:
     trajectory = make(tmp_path / "out", finished).trajectory
-    errors = {name: {"value": 0.0, "sigma": 0.004} for name in ("length", "turning", "veer", "x", "y", "heading")}
+    errors = {name: {"value": 0.0, "sigma": 0.004} for name in ("veer", "x", "y", "heading")}
     assert findings(SUMMARY | {"slam": {"odometry": {"systematic": errors}}}, trajectory) == []
     errors |= {"x": {"value": -0.0896, "sigma": 0.0025}, "heading": {"value": 0.0175, "sigma": 0.0023}}
     (finding,) = findings(SUMMARY | {"slam": {"odometry": {"systematic": errors}}}, trajectory)
