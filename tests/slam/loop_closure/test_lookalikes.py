@@ -124,7 +124,8 @@ def test_the_evidence_of_a_drive_rejects_the_next_door(monkeypatch: pytest.Monke
     for before, found, behind in decisions:
         assert found.status is LoopStatus.CONFIRMED
         assert before.status is behind.status is LoopStatus.REJECTED
-        assert before.reason.startswith("the drive as a whole does not fit there")
+        for decision in (before, behind):  # the evidence suffices for the place that was found, at any expected one
+            assert decision.reason.startswith("the drive as a whole fits at another place")
 
 
 @pytest.mark.slow
