@@ -83,7 +83,7 @@ def test_recordings_are_drawn_where_they_are(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_all_pictures_of_drives_are_made(tmp_path: Path) -> None:
     for pictures in demo_pictures.picture_sets(None):
-        scratch = tmp_path / pictures.files[0].removesuffix(".png")
+        scratch = tmp_path / Path(pictures.files[0]).stem
         scratch.mkdir()
         pictures.make(tmp_path, scratch)
         for name in pictures.files:
