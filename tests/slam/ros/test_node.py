@@ -112,10 +112,10 @@ class OpenedReceiver(RosReceiver):
     last: OpenedReceiver
 
     def __init__(self, *arguments: Any) -> None:
-        super().__init__(*arguments)
         self.taken, self.asked = 0, threading.Condition()  # scans that were taken before the last message was asked for
         self._taken = 0
-        OpenedReceiver.last = self
+        OpenedReceiver.last = self  # before it subscribes: then the robot begins to publish
+        super().__init__(*arguments)
 
     def receive(self, timeout: float) -> Message | None:
         with self.asked:
@@ -144,18 +144,20 @@ def feed(link: MemoryLink, robot: list[Published], calls: dict[int, Callable[[],
     puts = {item.topic: link.publish(item.topic, item.msgtype, STATIC_TRANSFORMS) for item in robot}
     with link.changed:
         link.changed.wait_for(lambda: "/scan" in link.received, PATIENCE)
-    scans = 0
-    for item in robot:
-        puts[item.topic](item.data)
-        if item.topic not in SCAN_TOPICS:
-            continue
-        scans += 1
-        opened = OpenedReceiver.last
-        with opened.asked:
-            opened.asked.wait_for(lambda opened=opened, wanted=scans: opened.taken >= wanted, patience)
-        if item.topic == "/scan" and scans in calls:
-            calls[scans]()
-    OpenedReceiver.last.stop()
+    try:
+        scans = 0
+        for item in robot:
+            puts[item.topic](item.data)
+            if item.topic not in SCAN_TOPICS:
+                continue
+            scans += 1
+            opened = OpenedReceiver.last
+            with opened.asked:
+                opened.asked.wait_for(lambda opened=opened, wanted=scans: opened.taken >= wanted, patience)
+            if item.topic == "/scan" and scans in calls:
+                calls[scans]()
+    finally:  # else the node would wait for ever if a call fails
+        OpenedReceiver.last.stop()
 
 
 def run_node(
