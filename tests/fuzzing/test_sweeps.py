@@ -10,6 +10,8 @@ from .sweeps import SWEEPS, Sweep, failures, make_files
 
 STEP = 4001
 """Each so many commands of a sweep."""
+LARGE = "plan.dxf", "run/session/scans.parquet"
+"""Files with so many values that damaging them takes many seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +21,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("sweep", SWEEPS, ids=lambda sweep: sweep.file)
+@pytest.mark.parametrize(
+    "sweep",
+    [pytest.param(one, id=one.file, marks=[pytest.mark.slow] if one.file in LARGE else []) for one in SWEEPS],
+)
 def test_a_command_on_a_damaged_file_succeeds_or_refuses_it_with_one_line(
     folder: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
 ) -> None:
