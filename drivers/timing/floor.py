@@ -3,15 +3,15 @@
 The plane of the beams meets the floor in a straight line. This line is fixed in the lidar's frame, and no return lies
 beyond it. A wall is fixed in the building instead, so its line turns in the lidar's frame while the robot turns.
 
-A look is a scan after a turn of MIN_TURN within MAX_DRIVEN. It supports a line on two conditions: returns lie on it in
-space that the scan before the turn saw through, so they are no surface that stands still; and nearly none of the
-returns in the sector around it lie beyond. It contradicts the line if more do. If the robot nods, the line moves by
-some percent, so a look also supports the lines near the one that it shows. With the probabilities of both outcomes, for
-the floor (F) and for any other line (O), a line is the floor if
+A scan is compared with the one before a turn of MIN_TURN within MAX_DRIVEN. It supports a line on two conditions:
+returns lie on it in space that the scan before the turn saw through, so they are no surface that stands still; and
+nearly none of the returns in the sector around it lie beyond. It contradicts the line if more do. If the robot nods,
+the line moves by some percent, so a scan also supports the lines near the one that it shows. With the probabilities of
+both outcomes, for the floor (F) and for any other line (O), a line is the floor if
 
     n log(P(support | F) / P(support | O)) + m log(P(contradiction | F) / P(contradiction | O)) > log(lines / p)
 
-for n looks that support and m that contradict it; p is the probability of an error in any of the lines that are tried.
+for n scans that support and m that contradict it; p is the probability of an error in any of the lines that are tried.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from .. import se2
 from ..compiled import compiled, inlined
 from ..messages import Floats, Message, Odometry, Scan, SourceReport
 
-# Radians of a turn between two looks. Origin: chosen; a wall's line then leaves the tolerance within a metre of its
-# nearest point, and a turn by a right angle gives four looks.
+# Radians of a turn between two scans that are compared. Origin: chosen; a wall's line then leaves the tolerance within
+# a metre of its nearest point, and a turn by a right angle gives four of them.
 MIN_TURN = math.radians(20.0)
 # Metres driven in this turn at most. Origin: chosen; farther on, the robot sees what was hidden.
 MAX_DRIVEN = 1.0
-# Directions in which a look has one range each. Origin: chosen, 2 degrees; a sparser lidar leaves some without.
+# Directions in which a scan has one range each. Origin: chosen, 2 degrees; a sparser lidar leaves some without.
 BINS = 180
 # Bins from one direction of the lines that are tried to the next. Origin: chosen, 4 degrees.
 STRIDE = 2
@@ -58,7 +58,7 @@ MIN_RETURNS = 5
 MIN_ON_LINE = 0.95
 # Share and number of the same that lie beyond a line, to contradict it. Origin: chosen, above what is reflected.
 MIN_BEYOND, MIN_BEYOND_RETURNS = 0.1, 3
-# Probability that a look supports the line of the floor, if it supports or contradicts it. Origin: chosen, for a
+# Probability that a scan supports the line of the floor, if it supports or contradicts it. Origin: chosen, for a
 # robot that nods more than that when it starts or stops.
 SUPPORT_BY_FLOOR = 0.9
 # The same for any other line. Origin: measured, on 29 recordings and 35 simulated drives: of all lines of a drive, the
@@ -78,13 +78,13 @@ class Floor:
     distance  metres to the nearest point of the floor's line, on average
     nearest   metres beyond which it nearly always is
     bearing   radians in [-pi, pi), of that point in the lidar's frame
-    looks     number of looks that show it
+    scans     number of compared scans that show it
     """
 
     distance: float
     nearest: float
     bearing: float
-    looks: int
+    scans: int
 
     @property
     def safe_range(self) -> float:
@@ -99,7 +99,7 @@ class Floor:
     def __str__(self) -> str:
         return (
             f"the lidar is not level: it sees the floor in a line {self.distance:.1f} m away at a bearing of "
-            f"{math.degrees(self.bearing):z.0f} degrees, which turned with the robot in {self.looks} scans, as no wall "
+            f"{math.degrees(self.bearing):z.0f} degrees, which turned with the robot in {self.scans} scans, as no wall "
             "does"
         )
 
@@ -164,7 +164,7 @@ class FloorDetector:
             distance=float(np.average(distances, weights=returns.sum(axis=0))),
             nearest=float(distances[np.searchsorted(share, NEARER)]) / FACTOR**TOLERANCE,
             bearing=float(se2.wrap(bearing * 2.0 * math.pi / BINS)),
-            looks=int(self._supports[direction, line]),
+            scans=int(self._supports[direction, line]),
         )
 
 
@@ -203,7 +203,7 @@ def _logs(ranges, angles):  # type: ignore[no-untyped-def]
 
 @compiled
 def _judge(logs, before, motion, returns, supports, contradictions):  # type: ignore[no-untyped-def]
-    """Count a look for or against each line (BINS / STRIDE, DISTANCES), and add the returns on those it supports."""
+    """Count a scan for or against each line (BINS / STRIDE, DISTANCES), and add the returns on those it supports."""
     through = np.zeros(BINS, dtype=np.bool_)
     _see_through(logs, before, motion, through)
     supported, contradicted = np.zeros(supports.shape, dtype=np.bool_), np.zeros(supports.shape, dtype=np.bool_)
@@ -257,7 +257,7 @@ def _count_returns(logs, through, direction, counts, moved):  # type: ignore[no-
 
 @inlined
 def _compare(counts, moved, returns, supported, contradicted):  # type: ignore[no-untyped-def]
-    """Mark the lines (DISTANCES,) in a direction that a look supports, and those it contradicts, without nodding.
+    """Mark the lines (DISTANCES,) in a direction that a scan supports, and those it contradicts, without nodding.
 
     The returns on the lines that it supports are added to `returns`.
     """

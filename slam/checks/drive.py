@@ -70,9 +70,10 @@ class Drive:
         )
 
     def between_readings(self, first: int, last: int) -> tuple[int, int]:
-        """Return the rows from `first` to `last`, widened to the last scan before and the first one after, if any.
+        """Return the rows `first` and `last`, moved apart until the odometry readings around both lie between them.
 
-        The motion between these contains no part of a motion between two odometry readings, whose course is not known.
+        Odometry is interpolated from one reading to the next: it may be wrong in between, but not over the whole of it.
+        The rows of the first and of the last scan are the limit.
         """
         if not len(self.readings):
             return first, last

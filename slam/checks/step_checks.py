@@ -90,8 +90,8 @@ def _text(drive: Drive, steps: Steps, k: int) -> str:
 def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
     """Yield the intervals in which the scans show that odometry is wrong by a large share of the motion.
 
-    A late reading is not such an error, nor is a motion between two readings that was not even: odometry must also be
-    wrong from the scan before the interval to the one after, with no reading missing in between.
+    A late reading is not such an error, nor is an uneven motion between two readings. So odometry must also be wrong
+    from the scan before the interval to the one after, and from the readings before to those after.
     The path may be wrong there by as much as the scans in between are misplaced, so odometry must be wrong by more.
     """
     misplaced = _misplacements(drive, steps)

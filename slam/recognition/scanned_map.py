@@ -236,8 +236,9 @@ class _CellGrid:
 
 
 def _bounds(points: Floats, poses: Floats) -> tuple[Floats, Floats]:
-    """Return the lower and the upper corner (2,) around some points or poses (n, m), at most MAX_REACH from the median
-    of the poses (k, 3).
+    """Return the lower and the upper corner (2,) around some points or poses (n, m).
+
+    Both are at most MAX_REACH from the median of `poses` (k, 3).
     """
     middle = np.median(poses[:, :2], axis=0)
     low, high = np.maximum(points[:, :2].min(axis=0), middle - MAX_REACH), points[:, :2].max(axis=0)
