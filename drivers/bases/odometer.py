@@ -47,8 +47,8 @@ class Odometer:
     distribution of the travel up to the top speed.
     """
 
-    def __init__(self, wheels: DifferentialDrive, noise: OdometryNoise | None = None) -> None:
-        self.wheels, self.noise = wheels, noise or OdometryNoise()
+    def __init__(self, wheels: DifferentialDrive) -> None:
+        self.wheels, self.noise = wheels, OdometryNoise()
         self.pose: Floats = np.zeros(3)
         self.covariance: Floats = np.zeros((3, 3))
         self.counters = OdometerCounters()

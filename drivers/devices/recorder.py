@@ -30,9 +30,8 @@ class Recorder:
     are in `status`.
     """
 
-    def __init__(self, path: Path, capacity: int = CAPACITY) -> None:
+    def __init__(self, path: Path) -> None:
         self._writer = McapWriter(path, overwrite=True)
-        self._capacity = capacity
         self._scans = self._odometry = 0
         self._first: float | None = None
         self._last = float("-inf")
@@ -71,7 +70,7 @@ class Recorder:
         with self._changed:
             if self._problem:
                 return
-            if len(self._items) >= self._capacity:
+            if len(self._items) >= CAPACITY:
                 self._problem = "cannot be written: the disk accepts no data"
                 return
             self._items.append(item)

@@ -51,10 +51,8 @@ class Encoders:
 class Gyro:
     """A gyro's heading, starting at zero; its error is a random walk."""
 
-    def __init__(
-        self, motion: RobotMotion, random: np.random.Generator, variance: float = OdometryNoise().gyro
-    ) -> None:
-        self._motion, self._random, self._variance = motion, random, variance
+    def __init__(self, motion: RobotMotion, random: np.random.Generator) -> None:
+        self._motion, self._random, self._variance = motion, random, OdometryNoise().gyro
         self._error, self._last = 0.0, 0.0
 
     def read(self, time: float) -> float:

@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from ..localisation.local_field import LocalField
     from ..mapping.mapper import Mapper
 
-# Metres, metres, radians: standard deviations of the first keyframe's pose in the plan: its walls determine it.
-# Origin: numerical, weak, and enough if one direction is undetermined.
-FIRST_POSE_IN_PLAN = np.diag(np.array([1.0, 1.0, 0.3]) ** 2)
 # Walls that must agree with the plan where the map was recognised. Origin: definition, three determine a pose.
 MIN_AGREEING_WALLS = 3
 # Rounds of tests at the end: walls that are supported determine their neighbours better. Origin: numerical.
@@ -111,7 +108,7 @@ class PlanPrior:
         self._supported = set(graph.plan_walls())
         if is_new_graph and len(self._supported) >= MIN_AGREEING_WALLS:
             # Its first keyframe is still fixed. From now on the walls determine it.
-            change_frame(mapper, np.zeros(3), FIRST_POSE_IN_PLAN)
+            change_frame(mapper, np.zeros(3))
             return self.settle(mapper, local_field)
         return True
 
@@ -137,7 +134,7 @@ class PlanPrior:
         agreeing = walls_on_plan(walls, frames, _extents(mapper, walls), covariances, self._walls)
         if len(agreeing) < MIN_AGREEING_WALLS:
             return False
-        change_frame(mapper, found.motion, FIRST_POSE_IN_PLAN)
+        change_frame(mapper, found.motion)
         self._support(mapper, agreeing)
         mapper.graph.update()
         mapper.graph.update_until_converged()

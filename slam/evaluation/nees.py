@@ -97,7 +97,7 @@ def consistency(values: Floats, dimensions: int, probability: float = 0.95) -> C
     return Consistency(float(np.mean(values)), low, high, len(values), dimensions, error)
 
 
-def run_consistency(runs: Sequence[Floats], dimensions: int, probability: float = 0.95) -> Consistency:
+def run_consistency(runs: Sequence[Floats], dimensions: int) -> Consistency:
     """Return the consistency of NEES values (n,) of several runs, each counted as one sample; NaN is skipped."""
     means = [float(np.nanmean(values)) for values in runs if np.isfinite(values).any()]
-    return consistency(np.array(means), dimensions, probability)
+    return consistency(np.array(means), dimensions)

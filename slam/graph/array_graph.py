@@ -105,12 +105,8 @@ class ArrayGraph:
     corners  (n,) true for corners, whose third component is always zero
     """
 
-    def __init__(self, factors: Sequence[Factor], bias: float, groups: Sequence[Sequence[int]] = ()) -> None:
-        """Convert factors.
-
-        bias    range bias (metres) without which the noise of corners is converted to bearing and range
-        groups  keys of variables whose joint covariances are wanted
-        """
+    def __init__(self, factors: Sequence[Factor], bias: float) -> None:
+        """Convert factors; `bias` is the range bias (metres) without which the noise of corners is converted."""
         self._form = np.full(len(factors), BETWEEN)
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         self._information, self._scale = np.zeros((len(factors), 3, 3)), np.full(len(factors), np.inf)
@@ -121,7 +117,7 @@ class ArrayGraph:
             self._convert(group)
         self._set_variables(ends)
         self._set_noise_of_corners(bias)
-        self._set_groups(groups)
+        self._set_groups(())
 
     def __len__(self) -> int:
         """Number of factors."""

@@ -270,5 +270,5 @@ class GraphState:
     point_map_poses: Floats
     updates: int
     qr: bool
-    bias: float = 0.0
-    waiting: int = 0
+    bias: float
+    waiting: int

@@ -25,7 +25,7 @@ def from_pose2(pose: gtsam.Pose2) -> se2.Pose:
     return np.array((pose.x(), pose.y(), pose.theta()))
 
 
-def to_gtsam_graph(factors: Sequence[Factor], bias: float = 0.0) -> gtsam.NonlinearFactorGraph:
+def to_gtsam_graph(factors: Sequence[Factor], bias: float) -> gtsam.NonlinearFactorGraph:
     """Convert factors, without a range bias (metres), into a graph of GTSAM."""
     converted: dict[int, gtsam.NonlinearFactor] = {}
     for group in by_kind(factors):

@@ -17,17 +17,20 @@ if TYPE_CHECKING:
     from .mapper import Mapper
 
 
-def change_frame(mapper: Mapper, motion: se2.Pose, first_covariance: Floats) -> None:
-    """Move all keyframes and landmarks of a map by a `motion` [x, y, heading].
+# Covariance (3, 3) of the first keyframe's pose from then on, in its own frame, metres and radians: the plan or the
+# pins determine this pose. Origin: numerical, weak, and enough if one direction is undetermined.
+FIRST_POSE_COVARIANCE = np.diag(np.array([1.0, 1.0, 0.3]) ** 2)
 
-    first_covariance  (3, 3) of the pose of the first keyframe from now on, in its own frame
+
+def change_frame(mapper: Mapper, motion: se2.Pose) -> None:
+    """Move all keyframes and landmarks of a map by a `motion` [x, y, heading], and free the pose of its first keyframe.
 
     The covariances of the keyframes' poses are set to that of the last one: only differences of them are used, and they
     have their gauge in common.
     """
     priors = [f for f in mapper.graph.solver.factors.values() if f.kind is FactorKind.POSE_PRIOR]
     moved = [replace(f, measured=se2.compose(motion, f.measured)) for f in priors]
-    moved = [replace(f, covariance=first_covariance) if f.first == 0 else f for f in moved]
+    moved = [replace(f, covariance=FIRST_POSE_COVARIANCE) if f.first == 0 else f for f in moved]
     landmarks = mapper.landmarks
     keyframes = np.arange(mapper.keyframe_count)
     walls, corners = np.arange(len(landmarks.walls)), np.arange(len(landmarks.corners))

@@ -138,7 +138,7 @@ def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation, near: Unce
     return replace(decided, reason=comparison.reason(decided))
 
 
-def number_of_places(area: float, near: Uncertainty | None = None) -> float:
+def number_of_places(area: float, near: Uncertainty | None) -> float:
     """Return how many places the search distinguishes in a map that has seen `area` square metres.
 
     near  admits only some of them

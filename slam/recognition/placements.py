@@ -79,7 +79,7 @@ class Placement:
         return [submap for submap, (pose, rival) in pairs if are_distinct(pose, rival)]
 
 
-def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None = None) -> list[Placement]:
+def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> list[Placement]:
     """Return the different placements of a map in another one that walls of its submaps suggest.
 
     near  admits only some poses, suggests the one that the drive has by its own map, and random ones; None if it may be

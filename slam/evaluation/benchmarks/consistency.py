@@ -143,10 +143,10 @@ def _simulate_once(seed: int, duration: float, condition: str, range_bias: float
         return None
 
 
-def calibrated_config(range_bias: float, duration: float = DURATION, world: str = "office") -> tuple[Config, float]:
+def calibrated_config(range_bias: float, duration: float = DURATION) -> tuple[Config, float]:
     """Return a configuration with the range bias estimated from a separate drive, and its standard error."""
     drive = Simulation(
-        world, seed=CALIBRATION_SEED, duration=duration, lidar=LidarModel(range_bias=range_bias), mount=MOUNT
+        "office", seed=CALIBRATION_SEED, duration=duration, lidar=LidarModel(range_bias=range_bias), mount=MOUNT
     )
     bias, sigma = estimate_range_bias(list(drive), Config())
     return Config(lidar=LidarConfig(range_bias=bias)), sigma

@@ -37,7 +37,7 @@ class LapCost:
     walls: int
 
 
-def measure_laps(world: str, laps: int, config: Config, *, seed: int = 0) -> Iterator[LapCost]:
+def measure_laps(world: str, laps: int, config: Config, *, seed: int) -> Iterator[LapCost]:
     """Simulate `laps` laps of a world's path and yield the cost of each."""
     warm_up()
     lap_duration = Simulation(world, seed=seed).trajectory.duration

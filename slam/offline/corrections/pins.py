@@ -9,7 +9,6 @@ import numpy as np
 
 from drivers import se2
 
-from ...estimation.plan_prior import FIRST_POSE_IN_PLAN
 from ...io.sessions.corrections import Pin, PinSet
 from ...mapping.frame_change import change_frame
 from ...mapping.mapper import Mapper
@@ -35,7 +34,7 @@ def apply_pins(mapper: Mapper, places: PinPlaces, correction: PinSet, wall_map: 
     targets = [places.target(pin) for pin in pins]
     adjustment = _adjusted(pins, PinnedVariables(mapper, wall_map, pins, targets), fixed=fixed)
     if not fixed:
-        change_frame(mapper, se2.inverse(adjustment.motion), FIRST_POSE_IN_PLAN)
+        change_frame(mapper, se2.inverse(adjustment.motion))
     before = [_difference(mapper, pin, target) for pin, target in zip(pins, targets, strict=True)]
     for pin, target, used in zip(pins, targets, adjustment.used.tolist(), strict=True):
         if used:

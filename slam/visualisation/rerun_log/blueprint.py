@@ -25,8 +25,11 @@ COMPARED_SIZE = 14.0  # metres shown of the compared points
 MAX_VIEW_GRID_LINES = 30  # along one side of the map
 
 
-def eye_distance(width: float, height: float, aspect: float = MAP_ASPECT) -> float:
-    """Return the height of the eye, metres, at which a panel shows `width` by `height` metres."""
+def eye_distance(width: float, height: float, aspect: float) -> float:
+    """Return the height of the eye, metres, at which a panel shows `width` by `height` metres.
+
+    aspect  width / height of the panel
+    """
     return VIEW_MARGIN * max(height, width / aspect, 1.0) / (2 * math.tan(FIELD_OF_VIEW / 2))
 
 

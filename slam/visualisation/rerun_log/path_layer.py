@@ -32,7 +32,7 @@ class PathLayer:
 
     def __init__(self, writer: RrdWriter) -> None:
         self._writer = writer
-        self._odometry, self._ground_truth = GrowingPath(PATH_SPACING), GrowingPath(PATH_SPACING)
+        self._odometry, self._ground_truth = GrowingPath(), GrowingPath()
         self._map_from_odometry: se2.Pose | None = None  # T_map_odom at the first keyframe
         self._recent: list[se2.Pose] = []  # keyframes since the whole path was drawn
         self._sigmas: dict[int, float] = {}  # of the keyframes' positions, metres
@@ -105,12 +105,11 @@ def driven_pieces(path: Floats) -> list[Floats]:
 class GrowingPath:
     """A path that only grows, in blocks; logging a long path anew with every keyframe would fill the file.
 
-    Points (x, y) are in metres; points closer than `spacing` to the last one are left out. Full blocks are dropped once
-    they were returned by `changed_blocks`.
+    Points (x, y) are in metres; points closer than PATH_SPACING to the last one are left out. Full blocks are dropped
+    once they were returned by `changed_blocks`.
     """
 
-    def __init__(self, spacing: float) -> None:
-        self._spacing = spacing
+    def __init__(self) -> None:
         self._first_number = 0  # of the first block in `_blocks`
         self._blocks: list[list[tuple[float, float]]] = [[]]
         self._grown = False
@@ -118,7 +117,7 @@ class GrowingPath:
     def append(self, x: float, y: float) -> None:
         """Add a point."""
         block = self._blocks[-1]
-        if block and np.hypot(x - block[-1][0], y - block[-1][1]) < self._spacing:
+        if block and np.hypot(x - block[-1][0], y - block[-1][1]) < PATH_SPACING:
             return
         if len(block) == BLOCK_SIZE:
             block = [block[-1]]  # no gap between the blocks

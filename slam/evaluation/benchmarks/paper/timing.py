@@ -53,11 +53,11 @@ def point_counts(environment: Environment, corner: int, at_most: int) -> list[in
     return list(range(10, min(2 * shorter, at_most) + 1, 10))
 
 
-def numpy_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_NOISE) -> dict[str, Call]:
+def numpy_calls(walls: Sequence[tuple[Floats, Floats]]) -> dict[str, Call]:
     """Return a function per form that computes the corner from ranges in plain NumPy."""
 
     def corner_call(fit: Fit, corner: Corner) -> Call:
-        return lambda: corner(fit(*walls[0], noise), fit(*walls[1], noise))
+        return lambda: corner(fit(*walls[0], PAPER_NOISE), fit(*walls[1], PAPER_NOISE))
 
     def double(ranges: Floats, angles: Floats, noise: Noise) -> formulas.Line:
         return formulas.arras_siegwart(ranges, angles, noise, sums="double")
@@ -71,13 +71,13 @@ def numpy_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_NOI
     return dict(zip(FORMS, calls, strict=True))
 
 
-def compiled_calls(walls: Sequence[tuple[Floats, Floats]], noise: Noise = PAPER_NOISE) -> dict[str, Call]:
+def compiled_calls(walls: Sequence[tuple[Floats, Floats]]) -> dict[str, Call]:
     """Return the same functions compiled, starting from inverse ranges, sines and cosines, which all forms need.
 
     The double sums also start from these and omit the double sums of the Jacobians: a lower bound of their cost.
     """
     first, second = (np.stack(ray_arrays(*wall)) for wall in walls)
-    sigmas = noise.sigma_range, noise.sigma_bearing
+    sigmas = PAPER_NOISE.sigma_range, PAPER_NOISE.sigma_bearing
     calls: tuple[Call, ...] = (
         lambda: _by_code(WCLM, first, second, *sigmas),
         lambda: _polar(True, first, second, *sigmas),

@@ -58,11 +58,14 @@ def crop(half_angle: float) -> LogVariant:
     return _in_time_order(_of_scans(cropped))
 
 
-def shorten(reach: float = SHORT_REACH) -> LogVariant:
-    """Replace the ranges beyond `reach` metres by no-returns, as of a lidar that does not reach farther."""
-    return _of_scans(
-        lambda scan, _: replace(scan, ranges=np.where(scan.ranges < reach, scan.ranges, np.nan), range_max=reach)
-    )
+def shorten() -> LogVariant:
+    """Replace the ranges beyond SHORT_REACH by no-returns, as of a lidar that does not reach farther."""
+
+    def shortened(scan: Scan, _: np.random.Generator) -> Scan:
+        ranges = np.where(scan.ranges < SHORT_REACH, scan.ranges, np.nan)
+        return replace(scan, ranges=ranges, range_max=SHORT_REACH)
+
+    return _of_scans(shortened)
 
 
 def quantise(step: float) -> LogVariant:
@@ -187,8 +190,9 @@ def play_backwards(messages: Iterable[Message]) -> tuple[list[Message], float]:
     return [backwards(message) for message in reversed(ordered)], mirror
 
 
-def scatter_no_returns(low: float = NO_RETURNS[0], high: float = NO_RETURNS[1]) -> LogVariant:
-    """Replace no-returns by readings that scatter over a narrow band, `low` to `high` metres."""
+def scatter_no_returns() -> LogVariant:
+    """Replace no-returns by readings that scatter over a narrow band, NO_RETURNS."""
+    low, high = NO_RETURNS
 
     def scattered(scan: Scan, random: np.random.Generator) -> Scan:
         readings = random.uniform(low, high, len(scan.ranges))
