@@ -32,7 +32,7 @@ from .io.exports.scan_placement import PlacedScan
 from .localisation.match_target import MatchTarget
 from .localisation.moving_objects import match_without_moving
 from .localisation.view_change import View
-from .loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
+from .loop_closure.occlusion import OLD_DISTANCE, occluded_share, old_walls
 from .loop_closure.submap_search import build_submap, search_submap
 from .mapping.convergence import converge
 from .mapping.landmarks import Landmarks
@@ -197,7 +197,7 @@ def _check_loop(state: SlamState) -> None:
             wall = landmarks.add_wall(side, 1.4, keyframe)
             landmarks.observe_wall(wall, side, 1.4, keyframe + 1)
     landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
-    travelled = np.array([0.0, 0.0, 2 * REFERENCE_DISTANCE, 2 * REFERENCE_DISTANCE])
+    travelled = np.array([0.0, 0.0, 2 * OLD_DISTANCE, 2 * OLD_DISTANCE])
     old = old_walls(landmarks, np.zeros(3), travelled, np.inf)
     occluded_share(np.zeros(3), old, landmarks, views)
 

@@ -11,6 +11,7 @@ from drivers.elapsed import elapsed
 
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
+from ..loop_closure.submap_search import DISTINCT_SHIFT
 from ..mapping.mapper import Mapper
 from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.trajectory_builder import TrajectoryBuilder
@@ -31,7 +32,7 @@ MIN_BLIND_LENGTH = 1.0
 MAX_SEEING_SCANS = 2
 # Metres: standard deviation of the position after a stretch without a match, relative to that before it, from which on
 # it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
-MAX_BLIND_SIGMA = 0.25
+MAX_BLIND_SIGMA = 0.5 * DISTINCT_SHIFT
 # Parts of the map whose times are named. Origin: chosen; more are not read.
 SHOWN_PARTS = 4
 

@@ -11,15 +11,15 @@ from drivers import se2
 from ..formatting import percent
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
-from ..loop_closure.occlusion import REFERENCE_DISTANCE, occluded_share, old_walls
+from ..loop_closure.occlusion import OLD_DISTANCE, occluded_share, old_walls
 from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
 
-# Metres of driving for which a closure is monitored. Origin: chosen, as REFERENCE_DISTANCE; not measured.
-MONITORED_DISTANCE = 15.0
-# Metres of driving between two checks. Origin: chosen, a tenth of MONITORED_DISTANCE; not measured.
-CHECK_INTERVAL = 1.5
+# Metres of driving for which a closure is monitored. Origin: chosen, as OLD_DISTANCE; not measured.
+MONITORED_DISTANCE = OLD_DISTANCE
+# Metres of driving between two checks. Origin: chosen, ten checks of a closure; not measured.
+CHECK_INTERVAL = MONITORED_DISTANCE / 10.0
 # Share of the wall length observed since the closure that older walls would have hidden, beyond the share without the
 # closure. Origin: measured, on data that are not recorded: doors open and furniture moves, so correct closures
 # reach a third.
@@ -101,7 +101,7 @@ def _check(closure: MonitoredClosure, mapper: Mapper) -> str:
     closure.last_check = mapper.travelled[-1]
     travelled = np.array(mapper.travelled)
     # Walls mapped with drift just before the closure may lie anywhere: they do not count.
-    walls = old_walls(mapper.landmarks, mapper.pose, travelled, closure.travelled - REFERENCE_DISTANCE)
+    walls = old_walls(mapper.landmarks, mapper.pose, travelled, closure.travelled - OLD_DISTANCE)
     views = [
         (mapper.graph.keyframe_pose(k), segments)
         for k, segments in mapper.recent_segments

@@ -37,8 +37,8 @@ from .tracking_checkpoint import Anchor
 # measured.
 SECOND_LOOK_TIME = 2.0
 # Metres from the last tracked pose above which the local map is taken from around the predicted pose instead.
-# Origin: chosen, half of LOCAL_MAP_MARGIN; not measured.
-MAX_UNTRACKED_DISTANCE = 1.0
+# Origin: definition, half of LOCAL_MAP_MARGIN: up to there the scans are still matched to the walls that they see.
+MAX_UNTRACKED_DISTANCE = 0.5 * LOCAL_MAP_MARGIN
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ from ..mapping.mapper import Mapper
 from .criteria import MIN_INDEPENDENT, MIN_KNOWN, admits_closure, differ, fits, is_determined
 from .decision import LoopDecision, LoopMatch
 from .judgement import Judgement
-from .look import Look, Submaps
+from .look import SEARCH_INTERVAL, Look, Submaps
 from .loop_hypothesis import LoopAgreementState, LoopHypothesis
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
@@ -51,8 +51,6 @@ from .votes import (
     vote_at,
 )
 
-# Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
-SEARCH_INTERVAL = 2.0
 # Old places that are searched at a look. Origin: chosen, for time; within MEMORY 160 of them are searched.
 MAX_PLACES = 8
 # Places beyond the estimate's uncertainty that are searched at a look. Origin: chosen, for time; within MEMORY 40 of

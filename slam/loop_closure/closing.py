@@ -13,9 +13,9 @@ from drivers import se2
 from ..graph.factor_graph import CLOSING_UPDATES
 from ..mapping.mapper import Mapper
 from ..mapping.wall_merging import find_overlaps
-from .agreement import SEARCH_INTERVAL
 from .criteria import SUPPORT_RATIO
 from .decision import LoopDecision, LoopMatch
+from .look import SEARCH_INTERVAL
 from .loop_status import LoopStatus
 from .relative_uncertainty import MAX_SQUARED_DISTANCE
 from .submap_search import SUBMAP_LENGTH

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from drivers import se2
 
+from ..matching.offset_tiles import MAX_DISTANCE
 from .decision import Check, LoopDecision
-from .look import Look
+from .look import SEARCH_INTERVAL, Look
 from .loop_hypothesis import LoopHypothesis
 from .loop_status import LoopStatus
 from .submap_search import MIN_SCREENING_FIT, SUBMAP_LENGTH, SubmapMatch, are_distinct
@@ -17,8 +20,8 @@ MIN_LOOP_FIT = MIN_SCREENING_FIT
 # Least share of the submap in space that the old place has seen. Origin: chosen, not measured.
 MIN_KNOWN = 0.4
 # Metres: largest standard deviation of a match in any direction; along a bare corridor it is larger.
-# Origin: definition, as MAX_LINK_SIGMA.
-MAX_MATCH_SIGMA = 0.17
+# Origin: definition, a third of what Gauss-Newton on the distance field corrects, as between linked keyframes.
+MAX_MATCH_SIGMA = MAX_DISTANCE / 3.0
 # Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
 # if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof, 95 %.
 MAX_CLOSED_DISTANCE = 7.81
@@ -26,7 +29,7 @@ MAX_CLOSED_DISTANCE = 7.81
 MIN_SUPPORT = 2
 # Looks that must support a hypothesis that leads to another place, or contradict the estimate before it is in doubt.
 # Origin: definition, so many that the first and the last one have no point in common.
-MIN_INDEPENDENT = 4
+MIN_INDEPENDENT = math.ceil(SUBMAP_LENGTH / SEARCH_INTERVAL) + 1
 # Standard deviations of the position over which the looks that support a hypothesis must extend. Origin: chosen, 99.7 %
 # of a normal distribution.
 SPAN_DEVIATIONS = 3.0

@@ -23,6 +23,8 @@ from .loop_hypothesis import OldPlace
 from .relative_uncertainty import MAX_SQUARED_DISTANCE, SEARCH_DEVIATIONS, UNMODELLED_SIGMAS, RelativeUncertainty
 from .submap_search import SUBMAP_LENGTH, Submap, SubmapMatch, build_submap, improve, search_submap
 
+# Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
+SEARCH_INTERVAL = SUBMAP_LENGTH / 3.0
 # Metres of driving between the middles of the submaps of old places. Origin: definition, half a submap.
 SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
 # Submaps of old places that are kept. Origin: measured on four recordings: each has 1.3 MB, and with twice as many, at

@@ -15,7 +15,7 @@ from ..mapping.landmarks import Landmarks
 
 # Metres of driving since a wall was first seen from which on it is old, and metres from the robot up to which it is
 # considered. Origin: chosen, the length of a room, and the range of lidars in it; not measured.
-REFERENCE_DISTANCE = 15.0
+OLD_DISTANCE = 15.0
 # Metres of driving without an observation from which on an old wall is not seen any more.
 # Origin: chosen, shortened from 8 m during development on recordings; not measured.
 RECENT_DISTANCE = 6.0
@@ -36,10 +36,10 @@ def old_walls(landmarks: Landmarks, pose: se2.Pose, travelled: Floats, before: f
     walls = landmarks.walls.rows
     first_seen, last_seen = travelled[walls["first_seen"]], travelled[walls["last_seen"]]
     old = walls["in_graph"] & landmarks.active() & (travelled[-1] - last_seen > RECENT_DISTANCE)
-    old &= first_seen < min(before, travelled[-1] - REFERENCE_DISTANCE)
+    old &= first_seen < min(before, travelled[-1] - OLD_DISTANCE)
     viewpoint = se2.transform(se2.inverse(walls["frame"]), pose[:2]).reshape(-1, 2)
     beyond = np.maximum(0.0, np.maximum(walls["low"] - viewpoint[:, 0], viewpoint[:, 0] - walls["high"]))
-    return np.flatnonzero(old & (np.hypot(beyond, viewpoint[:, 1]) < REFERENCE_DISTANCE))
+    return np.flatnonzero(old & (np.hypot(beyond, viewpoint[:, 1]) < OLD_DISTANCE))
 
 
 def occluded_share(

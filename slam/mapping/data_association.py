@@ -25,6 +25,7 @@ from .local_map import (
     MAX_PREDICTED_VARIANCE,
     LocalMap,
 )
+from .wall_cells import WALL_CELL
 
 # Squared Mahalanobis distance between a feature and its landmark. Origin: chi-square, 2 dof, 99.9 %.
 ASSOCIATION_GATE = 13.8
@@ -32,7 +33,7 @@ ASSOCIATION_GATE = 13.8
 MAX_GAP = 1.0
 # Metres by which two segments of one wall may overlap in one scan, by errors of their ends.
 # Origin: chosen, one cell of coverage; not measured.
-MAX_OVERLAP_IN_SCAN = 0.10
+MAX_OVERLAP_IN_SCAN = WALL_CELL
 # Metres: a segment this close to a wall, but outside the gate, is ambiguous: neither this wall nor a new
 # one. Origin: chosen; not measured.
 AMBIGUOUS_OFFSET = 0.12

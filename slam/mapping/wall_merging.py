@@ -22,6 +22,8 @@ from ..graph.factor_graph import FactorGraph
 from .keyframes import WallMerge
 from .landmarks import Landmarks
 from .local_map import MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE, LocalMap
+from .unconfirmed_observations import CONFIRMING_KEYFRAMES
+from .wall_cells import WALL_CELL
 
 # Squared Mahalanobis distance between two walls that may be one. Stricter than the association gate, as a merge is
 # final. Origin: chi-square, 2 dof, 95 %.
@@ -32,10 +34,10 @@ MAX_MERGE_OFFSET = 0.10
 # Radians between two walls that may be one. Origin: chosen; not measured.
 MAX_MERGE_HEADING = math.radians(4.0)
 # Metres by which two walls that may be one must overlap. Origin: chosen, two cells of coverage; not measured.
-MIN_OVERLAP_LENGTH = 0.2
+MIN_OVERLAP_LENGTH = 2.0 * WALL_CELL
 # Keyframes that must have observed a wall before it is merged by its covariance relative to the robot alone.
 # Origin: chosen, one more than for confirmation; not measured.
-MIN_OBSERVATIONS_TO_MERGE = 3
+MIN_OBSERVATIONS_TO_MERGE = CONFIRMING_KEYFRAMES + 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ from drivers import se2
 from ..geometry.segments import Floats, Integers
 from .landmarks import Landmarks
 from .sight_lines import END_MARGIN_CELLS, WallsInView, cells_seen_through, walls_in_view
-from .wall_cells import WALL_CELL
+from .wall_cells import MIN_GAP_BETWEEN_PIECES, WALL_CELL
 
 # Metres of driving between two scans that count: an error of one scan is repeated at the same place.
 # Origin: chosen, less than the distance between keyframes; not measured.
@@ -29,13 +29,14 @@ SEEN_WEIGHT = 3
 MAX_REQUIRED_SCANS = 6
 # Cells without evidence between two that were seen through. Origin: chosen, 0.2 m; not measured.
 MAX_GAP_CELLS = 2
-# Metres of the narrowest opening: a door, rather than a hole between two beams. Origin: chosen; not measured.
-MIN_OPENING = 0.5
+# Metres of the narrowest opening: a door, rather than a hole between two beams. Origin: definition, so that the rest of
+# the wall is in pieces.
+MIN_OPENING = MIN_GAP_BETWEEN_PIECES
 # A wall is removed entirely if less remains of it than REMAINDER_SHARE of its length, but at least MIN_REMAINDER and at
 # most MAX_REMAINDER metres. Origin: chosen; not measured.
 MIN_REMAINDER, REMAINDER_SHARE, MAX_REMAINDER = 0.3, 1 / 3, 1.0
 # Metres of driving within which the map does not bend.
-# Origin: chosen, as REFERENCE_DISTANCE of loop closure; not measured.
+# Origin: chosen, as OLD_DISTANCE of loop closure; not measured.
 RIGID_DISTANCE = 15.0
 # A robot that has drifted, or is elsewhere, sees through many walls. So a scan must also see other walls, first
 # observed no later than the wall in question was last observed (see `_supported`).

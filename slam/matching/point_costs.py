@@ -14,16 +14,16 @@ from drivers.compiled import compiled, inlined
 from ..geometry.small_matrices import quadratic_form
 from .distance_field import ALL_POINTS, facing_grid, nearest_distance
 from .free_space import is_seen
-from .offset_tiles import FIELD_CELL, MAX_SQUARED, OFFSET_UNIT, offset_at, squared_length
+from .offset_tiles import FIELD_CELL, MAX_DISTANCE, MAX_SQUARED, OFFSET_UNIT, offset_at, squared_length
 
 # Metres, scale of the wide kernel. Origin: chosen, a fifth of MAX_DISTANCE; not measured.
-COARSE_SIGMA = 0.10
+COARSE_SIGMA = MAX_DISTANCE / 5.0
 # Cost of a squared unit of offsets: squares are compared without taking their roots. Origin: definition.
 COST_OF_SQUARE = 0.5 * (OFFSET_UNIT / COARSE_SIGMA) ** 2
-# Cost of a point that fits nowhere, and of one in a cell that was not seen. Origin: chosen, a point that fits nowhere
-# is 2.8 standard deviations off; an unseen one costs the mean of fitting and not fitting.
+# Cost of a point that fits nowhere. Origin: chosen, it is then 2.8 standard deviations off.
 MISFIT = 4.0
-UNSEEN = 2.0  # Origin: as MISFIT.
+# Cost of a point in a cell that was not seen. Origin: definition, the mean of fitting and not fitting.
+UNSEEN = 0.5 * MISFIT
 # Metres before its point, and after its start, in which a beam may touch surfaces. Origin: chosen, as in
 # `slam.mapping.sight_lines`.
 DEPTH = 0.3

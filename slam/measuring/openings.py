@@ -16,15 +16,15 @@ from itertools import combinations
 import numpy as np
 
 from ..geometry.segments import Floats
-from .outlines import crossing
+from .outlines import CORNER_MARGIN, MAX_BRIDGE, crossing
 from .rooms import Room
 from .wall_map import WallMap
 
 # Metres of the narrowest and of the widest opening. Origin: chosen, as MIN_GAP_BETWEEN_PIECES, and the width of a
 # corridor that leaves another one; not measured.
 MIN_WIDTH, MAX_WIDTH = 0.5, 4.0
-# Metres of the widest door. Origin: chosen, as MAX_BRIDGE of outlines, a double door; not measured.
-MAX_DOOR = 2.0
+# Metres of the widest door. Origin: chosen, a double door, as for the outlines of rooms; not measured.
+MAX_DOOR = MAX_BRIDGE
 # Metres across, and sine of the angle, by which two pieces on one line may differ. Origin: chosen, a skirting board,
 # and the thickness of a wall over the width of a door; not measured.
 MAX_STEP, MAX_SINE = 0.1, 0.1
@@ -36,8 +36,9 @@ MAX_THICKNESS = 0.6
 JAMB_TOLERANCE = 0.25
 # Share of the wider gap that both faces must have in common. Origin: chosen; not measured.
 MIN_SHARED = 0.5
-# Metres at each end of a gap that a wall may reach into: the jamb. Origin: chosen, as CORNER_MARGIN of outlines, half.
-JAMB_MARGIN = 0.15
+# Metres at each end of a gap that a wall may reach into: the jamb. Origin: chosen, half of what a wall may
+# reach beyond a corner.
+JAMB_MARGIN = 0.5 * CORNER_MARGIN
 # Metres beyond an opening at which it leads into a room. Origin: chosen, less than the smallest room; not measured.
 PROBE = 0.3
 

@@ -34,7 +34,7 @@ CORNER_MARGIN = 0.3
 MAX_STEP = 0.6
 # Metres that a step counts in excess of its length, so that walls are rather continued to where they meet, and that a
 # wall counts which continues where another one meets it. Origin: chosen, as CORNER_MARGIN; not measured.
-STEP_COST = 0.3
+STEP_COST = CORNER_MARGIN
 # Sine of the least angle at which one wall divides another one. Origin: chosen, 30 degrees; not measured.
 MIN_JUNCTION_SINE = 0.5
 # Metres between two places at which a wall is divided. Origin: geometry, half a cell of a wall's coverage; less
