@@ -87,14 +87,16 @@ class BatchStatus:
         for heading in ("status", "duration", "path", "scans", "keyframes", "loops", "time", "memory"):
             table.add_column(heading, justify="left" if heading == "status" else "right", no_wrap=True)
         for row in self._rows.values():
+            figures = row.figures
+            counts = figures.scans, figures.keyframes, figures.closures
             table.add_row(
                 row.name,
                 row.status.value,
-                "" if row.duration is None else duration(row.duration),
-                "" if row.path_length is None else f"{row.path_length:.0f} m",
-                *("" if count is None else str(count) for count in (row.scans, row.keyframes, row.loops)),
-                "" if row.seconds is None else duration(row.seconds),
-                "" if row.memory is None else f"{row.memory:.0f} MiB",
+                "" if figures.duration is None else duration(figures.duration),
+                "" if figures.path_length is None else f"{figures.path_length:.0f} m",
+                *("" if count is None else str(count) for count in counts),
+                "" if figures.wall_seconds is None else duration(figures.wall_seconds),
+                "" if figures.peak_memory_mib is None else f"{figures.peak_memory_mib:.0f} MiB",
             )
         screen = Console(highlight=False, markup=False)
         if not screen.is_terminal:
@@ -109,4 +111,5 @@ def _line(row: Row) -> str:
     """Return the status of a recording in one line."""
     if row.error is not None:
         return f"{row.name}: {row.status.value}: {row.error}"
-    return f"{row.name}: {row.status.value}" + ("" if row.seconds is None else f" in {duration(row.seconds)}")
+    seconds = row.figures.wall_seconds
+    return f"{row.name}: {row.status.value}" + ("" if seconds is None else f" in {duration(seconds)}")

@@ -1,4 +1,4 @@
-"""Figures of a run that the table of a batch contains, as they are in `summary.json`."""
+"""Figures of a run that the table of a batch contains, read from `summary.json`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,13 @@ class _Truth(BaseModel):
 
 
 class Figures(BaseModel):
-    """Figures in the content of a `summary.json`; None if unknown."""
+    """Figures in the content of a `summary.json`; None if unknown.
+
+    duration         seconds of the recording
+    path_length      travelled distance, metres
+    wall_seconds     computing time
+    peak_memory_mib  largest memory of the process, MiB
+    """
 
     duration: float | None = None
     path_length: float | None = None
@@ -39,6 +45,11 @@ class Figures(BaseModel):
         """Loop closures that were accepted and not retracted."""
         loops = None if self.slam is None else self.slam.loops
         return None if loops is None else loops.accepted - loops.retracted
+
+    @property
+    def error_rmse(self) -> float | None:
+        """Root mean square error of the positions, metres, if the recording has ground truth."""
+        return None if self.truth is None else self.truth.ate_rmse
 
 
 def has_figures(summary: dict[str, Any]) -> bool:

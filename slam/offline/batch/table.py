@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
@@ -27,34 +27,6 @@ class Status(StrEnum):
     FAILED = "failed"
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
-    """Status and results of a recording; None if unknown.
-
-    duration     seconds of the recording
-    path_length  travelled distance, metres
-    loops        loop closures that were accepted and not retracted
-    seconds      computing time
-    memory       largest memory of the worker's process, MiB
-    error_rmse   root mean square error of the positions, metres, if the recording has ground truth
-    error        reason of a failure
-    """
-
-    name: str
-    recording: str
-    status: Status
-    duration: float | None = None
-    path_length: float | None = None
-    scans: int | None = None
-    keyframes: int | None = None
-    loops: int | None = None
-    seconds: float | None = None
-    memory: float | None = None
-    error_rmse: float | None = None
-    error: str | None = None
-    log: str | None = None
-
-
 SCHEMA = pa.schema(
     [(name, pa.string()) for name in ("name", "recording", "status")]
     + [(name, pa.float64()) for name in ("duration", "path_length")]
@@ -64,38 +36,54 @@ SCHEMA = pa.schema(
 )
 
 
+@dataclass(frozen=True, slots=True)
+class Row:
+    """Status and results of a recording.
+
+    figures  of its run; unknown ones if it is not mapped
+    error    reason of a failure
+    log      file of its log, if there is one
+    """
+
+    name: str
+    recording: str
+    status: Status
+    figures: Figures
+    error: str | None
+    log: str | None
+
+    def values(self) -> dict[str, str | float | None]:
+        """Return the values of the columns."""
+        figures = self.figures
+        return {
+            "name": _encodable(self.name),
+            "recording": _encodable(self.recording),
+            "status": self.status.value,
+            "duration": figures.duration,
+            "path_length": figures.path_length,
+            "scans": figures.scans,
+            "keyframes": figures.keyframes,
+            "loops": figures.closures,
+            "seconds": figures.wall_seconds,
+            "memory": figures.peak_memory_mib,
+            "error_rmse": figures.error_rmse,
+            "error": None if self.error is None else _encodable(self.error),
+            "log": None if self.log is None else _encodable(self.log),
+        }
+
+
+def _encodable(text: str) -> str:
+    """Return a text with "?" in place of what UTF-8 cannot encode, such as bytes of the names of files."""
+    return text.encode(errors="replace").decode()
+
+
 def make_row(job: Job, status: Status, summary: dict[str, Any] | None = None, error: str | None = None) -> Row:
     """Return the row of a job, with figures from the summary of its run if there is one."""
-    log = str(job.log) if job.log.exists() else None
-    if summary is None:
-        return Row(job.name, job.recording, status, error=error, log=log)
-    figures = Figures.model_validate(summary)
-    return Row(
-        job.name,
-        job.recording,
-        status,
-        duration=figures.duration,
-        path_length=figures.path_length,
-        scans=figures.scans,
-        keyframes=figures.keyframes,
-        loops=figures.closures,
-        seconds=figures.wall_seconds,
-        memory=figures.peak_memory_mib,
-        error_rmse=None if figures.truth is None else figures.truth.ate_rmse,
-        error=error,
-        log=log,
-    )
+    figures = Figures.model_validate(summary or {})
+    return Row(job.name, job.recording, status, figures, error, str(job.log) if job.log.exists() else None)
 
 
 def write_table(path: Path, rows: Iterable[Row]) -> None:
     """Write rows as a Parquet file, which replaces an older one atomically. Raises OutputError."""
     with unfinished_file(path, overwrite=True) as unfinished:
-        pq.write_table(pa.Table.from_pylist([_values(row) for row in rows], SCHEMA), unfinished)
-
-
-def _values(row: Row) -> dict[str, Any]:
-    """Return the values of a row; the names of files need not be UTF-8, but texts of the table must."""
-    values = asdict(row).items()
-    return {
-        name: value.encode(errors="replace").decode() if isinstance(value, str) else value for name, value in values
-    }
+        pq.write_table(pa.Table.from_pylist([row.values() for row in rows], SCHEMA), unfinished)
