@@ -143,10 +143,10 @@ def curve_evidence(
 ) -> float:
     """Return the evidence against a curve: chi-square of two lines' rays about one curve minus that about the lines.
 
-    It is infinite if an arc of that size would have been split further, and if the curve is a straight wall: because it
-    deviates from one line by less than `least_bend` (metres, root mean square), or because it decreases the chi-square
-    of that line by less than the penalty. Line `first` has the rays begin..end-1 and `second` start..stop-1, which
-    may extend beyond the end of a revolution. Lines are rows of `FeatureBuffers.lines`.
+    It is infinite if the curve is ruled out: an arc of this size would have been split further, the curve deviates from
+    a straight line by less than `least_bend` (metres, root mean square), or it decreases the chi-square of that line by
+    less than the penalty. Line `first` has the rays begin..end-1 and `second` start..stop-1, which may extend beyond
+    the end of a revolution. Lines are rows of `FeatureBuffers.lines`.
     """
     frame = chord_frame(first, second)
     lengths = math.hypot(first[8] - first[6], first[9] - first[7])

@@ -10,7 +10,7 @@ from typing import Self
 from ..errors import DriverError
 
 DEFAULT_NODE = "slam_toolbox"
-"""Name of the node that this one takes the place of, so that its parameter files fit."""
+"""Name of the node of slam_toolbox: parameter files that were written for it fit this node, too."""
 NAME = re.compile(r"(~/?|/)?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*|~/?|/")
 """Name of a topic, a service or a namespace."""
 NODE_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")

@@ -19,9 +19,9 @@ class BeamTimes:
     turn      seconds in which the lidar turns once, so that the beams are measured one after the other by their
               angles; 0 if all are measured at once; None if their times are as stated
     reversed  if the beams are measured in the opposite of the stated order; with a turn, if clockwise
-    centred   if scans are stamped in the middle of the sweep. The format of a recording may have one time for a scan
-              and none for beams: it is that of the first beam or of the last one, or later, which nothing tells. The
-              middle is where such a scan, drawn as if all its beams were measured at its stamp, fits best
+    centred   if scans are stamped in the middle of the sweep. A format with one time for a scan, and none for beams,
+              does not state if it is the time of the first beam, of the last one, or later. If all its beams are drawn
+              as if they were measured at the stamp, such a scan fits best in the middle
     """
 
     turn: float | None = None

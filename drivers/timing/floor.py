@@ -3,11 +3,11 @@
 The plane of the beams meets the floor in a straight line. This line is fixed in the lidar's frame, and no return lies
 beyond it. A wall is fixed in the building instead, so its line turns in the lidar's frame while the robot turns.
 
-A scan is compared with the one before a turn of MIN_TURN within MAX_DRIVEN. It supports a line on two conditions:
-returns lie on it in space that the scan before the turn saw through, so they are no surface that stands still; and
-nearly none of the returns in the sector around it lie beyond. It contradicts the line if more do. If the robot nods,
-the line moves by some percent, so a scan also supports the lines near the one that it shows. With the probabilities of
-both outcomes, for the floor (F) and for any other line (O), a line is the floor if
+A scan is compared with the one before a turn of MIN_TURN within MAX_DRIVEN. It supports a line on two conditions.
+First, returns lie on the line in space that the scan before the turn saw through: so these returns are no surface that
+stands still. Second, nearly none of the returns in the sector around the line lie beyond it; the scan contradicts the
+line if more do. If the robot nods, the line moves by some percent, so a scan also supports the lines near the one that
+it shows. With the probabilities of both outcomes, for the floor (F) and for any other line (O), a line is the floor if
 
     n log(P(support | F) / P(support | O)) + m log(P(contradiction | F) / P(contradiction | O)) > log(lines / p)
 

@@ -1,9 +1,9 @@
-"""Compare each scan with what earlier passes of the same place saw: walls that they saw through, and walls of theirs.
+"""Compare each scan with earlier passes of the same place: they saw through its walls, or saw walls where it sees none.
 
-For each cell of a grid, the first time is stored that a sight line crossed it, and that a point hit it, in metres
-driven: enough to know whether a pass that is some driving older saw it free or occupied. Later passes are left out: a
-place that was mapped twice, once displaced, agrees with either from then on, but not when it is seen again for the
-first time.
+Each cell of a grid has the distance driven when a sight line crossed it first, and when a point hit it first. This
+shows whether an earlier pass, some metres of driving before, saw the cell free or occupied. Later passes are left out.
+If a place is mapped a second time with a displacement, only the first scans there contradict the map: later ones agree
+with one of both.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Steps at which the view changes abruptly, although the path says that the robot hardly moved.
 
-Each scan is compared with the scan before it: points nearer than what the scan before saw in that direction lie in
-space that it saw through, points farther away lie behind what it saw.
+Each scan is compared with the scan before. In each direction, points nearer than the points of the scan before lie in
+space that it saw through; points farther away lie behind what it saw.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ MIN_RATIO = 2.0
 def view_changes(drive: Drive) -> tuple[Integers, Integers]:
     """Return the steps (m,) of a sampled drive at which the view changes abruptly, and counts (m, 3) of points.
 
-    The counts are those of the points in space that the scan before saw through, behind what it saw, and on it.
+    The three counts are of points in space that the scan before saw through, behind what it saw, and on what it saw.
     """
     steps = se2.between(drive.poses[:-1], drive.poses[1:])
     counts = np.zeros((len(steps), 3), dtype=np.int64)

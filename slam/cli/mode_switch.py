@@ -51,7 +51,7 @@ class ModeSwitch:
             signal.signal(signal.SIGUSR2, signal.SIG_IGN)  # one that was sent before must not end the process
 
     def continued(self) -> ModeSwitch:
-        """Return the switch of a run that continues this one, in the mode that this one has ended in."""
+        """Return the switch for a run that continues this one, which begins in the mode in which this one has ended."""
         following = ModeSwitch()
         if self._slam is not None and self._slam.frozen:
             following.request(True)

@@ -132,10 +132,10 @@ class RunWriter:
         return mounts
 
     def _write(self, place: Path, finished: Finished, summary: dict[str, Any], parts: Mapping[str, Write]) -> None:
-        """Write the results, and before that `parts` that are not necessary for them, by the warning if one fails.
+        """Write first the dispensable `parts`, given by the warning if they fail, and then the results.
 
-        The warning is added to `summary`. Whatever the reason is, trajectory and map must not be lost by it. A full
-        disk is another matter: everything can be written in another place. Raises OSError.
+        A failed part must not cost trajectory and map, whatever the reason: its warning is added to `summary`. Only an
+        OSError is raised, as on a full disk: everything can be written in another place then.
         """
         for warning, write in parts.items():
             try:
@@ -148,7 +148,7 @@ class RunWriter:
 
 
 def _parts(session: StoredSession | None) -> dict[str, Write]:
-    """Return the function that writes a session, if there is one, by the warning if it fails."""
+    """Return the function that writes a session, if there is one, under the warning that it has failed."""
     return {} if session is None else {NO_SESSION: partial(_write_session, session)}
 
 

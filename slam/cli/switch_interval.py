@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 SWITCH_INTERVAL = 5e-4
-"""Seconds for which the run may delay the thread that receives messages, where the interpreter can interrupt it."""
+"""Seconds after which the interpreter interrupts the run for the thread that receives messages, where it can."""
 
 
 @contextmanager

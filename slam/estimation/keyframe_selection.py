@@ -26,8 +26,9 @@ from .tracking_checkpoint import Anchor
 # Origin: measured. In offices 10 to 25 % of the scans show less, in mines, halls and outdoors more than half. With
 # keyframes at twice the distance everywhere, robots get lost there, while offices are mapped equally well.
 MIN_EXPLAINED = 0.9
-# Distance of keyframes where that is so, and of the motions that odometry's errors are learned from, as a share of the
-# configured one. Origin: chosen, so that two scans in a row share most of what they see; not measured.
+# Share of the configured distance of keyframes. It is the distance of keyframes where less than MIN_EXPLAINED is known,
+# and of the motions from which odometry's errors are learned. Origin: chosen, so that two scans in a row share most of
+# what they see; not measured.
 CLOSE_SHARE = 0.5
 # A place is familiar after this many visits with keyframes near the robot (metres, radians) if the map explains the
 # scan. Origin: chosen so that the graph does not grow while a robot patrols a known building; not measured, but at

@@ -60,6 +60,6 @@ def relocalise(state: SlamState, joined: SlamState, odometry: se2.Pose) -> None:
 
 
 def _relative_to_nearest(poses: Floats, pose: se2.Pose) -> tuple[int, se2.Pose]:
-    """Return which of some poses (n, 3) is nearest to another one, and that one in its frame."""
+    """Return the row of the nearest of some `poses` (n, 3) to a pose, and this pose in the frame of the nearest."""
     nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
     return nearest, se2.between(poses[nearest], pose)

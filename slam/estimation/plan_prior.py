@@ -83,8 +83,8 @@ class PlanPrior:
             if found is None or not self._move_to_plan(mapper, found):
                 return False
         graph, refuted = mapper.graph, set[int]()
-        is_new_graph = not graph.plan_walls()  # of a refined map: it was built without the factors of the plan
-        current = set(self._candidates(mapper).tolist())  # without merged walls: those that replace them are tested
+        is_new_graph = not graph.plan_walls()  # after a refinement, which builds a graph without factors of the plan
+        current = set(self._candidates(mapper).tolist())  # without merged walls, in place of which others are tested
         graph.remove_factors([number for wall, (number, _) in graph.plan_walls().items() if wall not in current])
         for _ in range(MAX_ROUNDS):
             walls = self._candidates(mapper)

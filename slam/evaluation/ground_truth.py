@@ -156,7 +156,7 @@ def match_walls(mapped: MapWalls, walls: TrueWalls) -> NDArray[np.int64]:
 
 
 def _line_coordinates(frames: Floats) -> Floats:
-    """Return coordinates (n, 3) that are equal for frames whose x axes are on one line in one direction."""
+    """Return coordinates (n, 3) of the x axes of frames, equal if the axes have the same line and direction."""
     c, s = np.cos(frames[:, 2]), np.sin(frames[:, 2])
     return np.column_stack([c, s, c * frames[:, 1] - s * frames[:, 0]])
 

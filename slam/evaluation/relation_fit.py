@@ -1,8 +1,8 @@
 """Check true motions by the scans: do the scans at both ends fit better along a path, or by the stated motion?
 
-Relations of a benchmark were matched and confirmed by people, and some are wrong. Where an estimated path departs from
-one of them, the two scans tell which of both is right: those points of the second scan that see the surfaces of the
-first one lie on them. This needs neither a map nor any part of the estimator.
+Relations of a benchmark were matched and confirmed by people, and some are wrong. Where an estimated path contradicts a
+relation, the two scans show which of them is right: by the true motion, points of the second scan lie on the surfaces
+that the first scan has seen. This needs neither a map nor any part of the estimator.
 """
 
 from __future__ import annotations

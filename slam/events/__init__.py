@@ -1,4 +1,4 @@
-"""Events that the pipeline publishes: plain data, copied out of the estimate, so that a sink may keep them."""
+"""Events that the pipeline publishes: plain data, independent of the estimate, so that a sink may keep them."""
 
 from __future__ import annotations
 

@@ -65,14 +65,19 @@ class _Elimination:
     """
 
     def __init__(self, variables: int, ends: Integers, relative: NDArray[np.bool_], groups: Sequence[Integers]) -> None:
-        """Take the number of variables, the rows (f, 2) of those of each factor, which factors (f,) have two different
-        ones, and the rows of the variables of each group whose joint covariance is wanted."""
+        """Create an elimination without an order.
+
+        variables  number of variables
+        ends       (f, 2) rows of the variables of each factor
+        relative   (f,) true for factors of two different variables
+        groups     rows of the variables of each group whose joint covariance is wanted
+        """
         self._variables, self._ends, self._relative, self._groups = variables, ends, relative, groups
         self._rank: Integers | None = None  # None to find an order
         self._found_for = variables  # their number when the order was found
 
     def follow(self, earlier: _Elimination, rows: Integers) -> None:
-        """Eliminate the variables of an earlier graph in the order that was found for it, and new ones after them.
+        """Use the order of an earlier graph for its variables, and eliminate new variables after them.
 
         New variables come last whatever they are connected with, so that L fills: a new order is found if the graph has
         grown by more than MAX_GROWTH since the last one was. `rows` (v,) are those of the earlier variables.
@@ -85,7 +90,7 @@ class _Elimination:
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Order of elimination and blocks that are not zero: those of factors, then those of the groups."""
+        """Order of elimination, and the blocks that are not zero: first the factors' blocks, then the groups'."""
         pairs = [np.stack(np.triu_indices(len(rows), 1), axis=1) for rows in self._groups]
         joint = [rows[pair] for rows, pair in zip(self._groups, pairs, strict=True)]
         return Pattern.of_pairs(self._variables, np.concatenate([self._ends[self._relative], *joint]), self._rank)

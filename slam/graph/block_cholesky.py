@@ -92,7 +92,7 @@ def inverse_blocks(pattern: Pattern, diagonal: Floats, below: Floats) -> tuple[F
 def _fill_in(count, columns, rows):  # type: ignore[no-untyped-def]
     """Return starts and unsorted rows of L, given the places of the matrix's blocks below the diagonal by column.
 
-    The rows of a column are those of the matrix, and those of all columns whose first row it is.
+    The rows of column j are the rows of the matrix in this column, and the rows of all columns whose first row is j.
     """
     children = np.full(count, -1)  # of each column, the last column whose first row it is
     sibling = np.full(count, -1)  # of each column, the next one with the same first row

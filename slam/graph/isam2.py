@@ -216,8 +216,8 @@ class IncrementalSolver:
     def restore(self, factors: Sequence[Factor], values: gtsam.Values, updates: int) -> None:
         """Add the factors and linearisation points of a solver after some `updates` to this empty one.
 
-        The same later updates relinearise as in that solver, and none of those here: as there is nothing in the first
-        ones, the last one has no step to compare with the thresholds. Raises MapError as `update` does.
+        Empty updates come first, so that later updates relinearise at the same numbers as in that solver. None of the
+        updates here relinearises, as there is no step to compare with the thresholds. Raises MapError as `update` does.
         """
         for _ in range((updates - 1) % RELINEARIZE_SKIP):
             self.update([], gtsam.Values())

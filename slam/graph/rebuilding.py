@@ -136,7 +136,7 @@ def _gauge_prior(keyframe: int, wall: int, predicted: se2.Pose) -> Factor:
 
 
 def _of_copy(factor: Factor, walls: Mapping[tuple[int, int], int], corners: Mapping[tuple[int, int], int]) -> Factor:
-    """Return an observation of a landmark as one of its copy, if it is by one of the keyframes of that."""
+    """Return an observation of a landmark as one of its copy, if it is by a keyframe that observes the copy."""
     if factor.kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET):
         return replace(factor, second=walls.get((factor.first, factor.second), factor.second))
     if factor.kind is FactorKind.CORNER:

@@ -37,11 +37,11 @@ class RecentVariables:
         self._keys = None
 
     def groups_with(self, new: Sequence[Factor], factors: dict[int, Factor]) -> gtsam.KeyGroupMap:
-        """Return the variables of the last factors and new ones, in the form in which GTSAM takes them.
+        """Return the variables of the last factors and of new ones, as the order of elimination that GTSAM takes.
 
-        factors  those of the graph before, in the order in which they were added
+        factors  of the graph before the new ones, in the order in which they were added
 
-        The variables of the new factors are the very last: they are those whose joint covariance is read back.
+        The variables of the new factors come last, as their joint covariance is read back.
         """
         if self._keys is None:
             known = islice(reversed(factors.values()), RECENT_FACTORS)

@@ -97,7 +97,7 @@ class MapFile:
 
 
 def write_map(path: Path, walls: MapWalls, corners: MapCorners) -> None:
-    """Write the map. Covariances that are not finite become null; so do other values, with which it cannot be read."""
+    """Write the map. Values that are not finite become null; if one is no covariance, the file cannot be read."""
     ends = walls.end_points()
     document = _Map.model_construct(
         lines=[

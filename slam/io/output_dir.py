@@ -117,9 +117,9 @@ class OutputDirectory:
             raise OutputError(f"{self.path}: cannot be written: {error.strerror or error}") from error
 
     def announce(self, change: Callable[[RunAnnouncement], RunAnnouncement]) -> None:
-        """State that this process handles signals, so that `running_process` finds it; may be called in any thread.
+        """Change what this process announces to others, which `running_process` reads; may be called in any thread.
 
-        change  returns what is stated from now on, from what was before
+        change  returns the new announcement, given the present one
         """
         assert self._work is not None
         with self._announcing, suppress(OSError):
@@ -131,8 +131,8 @@ class OutputDirectory:
 
         write  writes the state into a directory
 
-        The state is on the disk before it replaces the one before, so one of them survives a power failure. Results of
-        an earlier run are kept until the block ends. Raises OutputError if the state cannot be written.
+        The new state is on the disk before it replaces the last one, so one of both survives a power failure. Results
+        of an earlier run are kept until the block ends. Raises OutputError if the state cannot be written.
         """
         assert self._work is not None
         work, size = self._work, 0

@@ -1,6 +1,6 @@
-"""Distance field that will take the place of the one around the robot, built in steps while that one is still used.
+"""Next distance field around the robot, built in steps while the present one is still used.
 
-To insert the scans of some hundred keyframes at once would delay a scan by tens of milliseconds.
+Inserting the scans of some hundred keyframes at once would delay a scan by tens of milliseconds.
 """
 
 from __future__ import annotations

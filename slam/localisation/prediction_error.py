@@ -20,7 +20,7 @@ from ..odometry.systematic_errors import PRIOR_SAMPLES
 
 # Metres, metres, radians: standard deviations before any scan. Origin: chosen; no measurement recorded.
 PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
-# Share of the first variances up to which that of a match must be, in all directions, so that it says something about
+# Variance of a match in any direction, as a share of PREDICTION_SIGMAS squared, up to which it determines the error of
 # the prediction. Origin: chosen, a third in standard deviations; not measured.
 MAX_MATCH_SHARE = 0.1
 

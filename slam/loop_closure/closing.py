@@ -60,9 +60,9 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
 def add_return(mapper: Mapper, match: LoopMatch) -> None:
     """Add a match of the last keyframe with a known place, which the estimate agrees with, to the graph.
 
-    Its scans have been matched with this place, too, but only where no wall is known, and together with those just
-    before them, so that drift along a corridor remains. A match that has points in common with the last one in the
-    graph is left out: their errors are the same. Takes effect with the graph's next update.
+    The keyframe's scan has been matched with this place before, but only by points on no known wall, and together with
+    the keyframes just before it, so that drift along a corridor remains. A match that has points in common with the
+    last one in the graph is left out: their errors are the same. Takes effect with the graph's next update.
     """
     last = mapper.graph.last_submap_match()
     if last is not None and match.travelled - mapper.travelled[last] < SUBMAP_LENGTH:

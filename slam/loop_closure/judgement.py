@@ -19,7 +19,7 @@ class Judgement:
     look            last look
     contradictions  metres driven up to each look that contradicts the estimate
     hypotheses      with at least one look each that supports them
-    returned_at         metres driven up to each look that agrees with the estimate
+    returned_at     metres driven up to each look that agrees with the estimate
     joins           true if the places are in parts of the map that are not connected with the last keyframe
     """
 

@@ -48,12 +48,12 @@ class Votes:
 
     @property
     def all(self) -> list[Vote]:
-        """All of them in one list."""
+        """All votes in one list."""
         at_estimate = [] if self.at_estimate is None else [self.at_estimate]
         return [*self.found, *at_estimate, *(vote for _, vote in self.tested)]
 
     def with_found(self, look: Look, more: Iterable[Vote]) -> Votes:
-        """Return them together with those votes of another search that lead to other places than the ones found."""
+        """Return these votes together with those of another search, `more`, that lead to other places."""
         new = [vote for vote in more if all(differ(look, vote.motion, other.motion) for other in self.found)]
         return replace(self, found=[*self.found, *new])
 

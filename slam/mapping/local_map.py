@@ -99,10 +99,11 @@ def local_map_around(
     and of the drift of the robot's pose since then. `pose_covariances` (k, 3, 3) are those of all keyframes, in the
     map's axes.
 
-    With `linked`, keyframes that are linked with the last one, landmarks that neither these nor the last one have seen
-    are left out; of walls, the first and the last observation are known, and any keyframe between them counts. Single
-    landmarks of an earlier pass do not show that the robot is there again, even within the uncertainty. All points of
-    a scan do, which have to fit there before keyframes are linked.
+    linked  keyframes that are linked with the last one; None for all of the map
+
+    Landmarks that neither the linked keyframes nor the last one have seen are left out. A wall counts as seen by all
+    keyframes from its first to its last observation. Single landmarks of an earlier pass do not show that the robot is
+    there again, even within the uncertainty. Keyframes are linked only if all points of a scan fit there.
 
     The error of a later pose is that of an earlier one plus what was added in between, so the covariance of their
     difference, the drift, is about the difference of their covariances. Negative eigenvalues, after a loop closure, are

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def delete_wall(mapper: Mapper, wall: int) -> None:
-    """Delete a wall that is shown, with the walls merged into it and those that it hides, and all their observations.
+    """Delete a shown wall, the walls merged into it, the walls that it hides, and the observations of all of them.
 
     The graph has been solved with all keyframes; it is solved again. Raises MapError if that leaves a variable
     undetermined.

@@ -77,8 +77,10 @@ def _pairs_alongside(rows: NDArray[np.void]) -> Integers:
 
 
 def _places_alongside(landmarks: Landmarks, pairs: Integers) -> dict[int, dict[int, list[tuple[int, int]]]]:
-    """Return by the first and the second wall of some pairs (p, 2): the covered cells of the first one that are at most
-    MAX_DEPTH before or behind the second one, each with the cell of the second one there."""
+    """Return the pairs of cells alongside each other, by the first and the second wall of `pairs` (p, 2).
+
+    The cells of the first wall are covered, and at most MAX_DEPTH before or behind the second wall.
+    """
     frames = landmarks.walls.rows["frame"]
     covered = [landmarks.covered[wall] for wall in pairs[:, 0].tolist()]
     pair = np.repeat(np.arange(len(pairs)), [len(cells) for cells in covered])

@@ -62,7 +62,7 @@ class PartGauge:
     def covariance_across(self, mapper: Mapper, old: int, keyframe: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe of the last part relative to one of another group, in its frame.
 
-        It is that of the keyframe where the motion starts, that of the motion, and that of the way in the part.
+        It is the sum of three: from the old keyframe to where the motion starts, of the motion, and within the part.
         """
         assert self.motion is not None
         start, first = self.motion.first, self.motion.second

@@ -173,7 +173,7 @@ def _observers(mapper: Mapper, kind: FactorKind) -> Seen:
 
 
 def _seen_again(seen: frozenset[int], new_pass: Pass, travelled: NDArray[np.float64]) -> frozenset[int]:
-    """Return those of the keyframes that observe a landmark that are of a pass and observe it again; see `Pass.gap`."""
+    """Return the keyframes of a pass that observe a landmark again, of all that have `seen` it; see `Pass.gap`."""
     keyframes = np.sort(list(seen))
     if keyframes[0] >= new_pass.keyframes.start:
         return frozenset()

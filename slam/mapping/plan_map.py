@@ -32,14 +32,15 @@ MAX_PIECE_GAP = 2.0
 MIN_PIECE = 0.2
 # Metres of a face that a view must show. Origin: chosen, three cells of coverage; not measured.
 MIN_VISIBLE = 0.3
-# Rays that must meet a face, so that it is not seen through a gap of the drawing by chance. Origin: definition, a line.
+# Rays that must meet a face to show it: fewer may pass through a gap of the drawing by chance. Origin: definition, a
+# line.
 MIN_RAYS = 3
 # Seconds: stamp of the last view where views take the place of scans, before any recording and so long before that
 # odometry does not continue them. Origin: definition.
 VIEWS_END = -1000.0
-# Metres: standard deviation of the distances at which the points of a view are. Points exactly on a line that is the
-# border of grid cells would show one of the cells only, and which one would depend on rounding: those of a scan scatter
-# across it. Origin: chosen, the noise of usual lidars.
+# Metres: standard deviation of the noise that is added to the distances of the points of a view. Without noise, points
+# on a line along the border of grid cells would all be in the cells on one side, which rounding would choose; points of
+# a scan scatter over both. Origin: chosen, the noise of usual lidars.
 VIEW_NOISE = 0.01
 
 
@@ -140,7 +141,7 @@ def _merge_pieces(plan: Plan) -> tuple[Floats, Integers, Floats]:
 
 
 def _on_line(pieces: Floats, heading: Floats, left: NDArray[np.bool_], first: int, tolerance: float) -> Integers:
-    """Return the pieces on the line of one of them that can be reached along it without a large gap."""
+    """Return the pieces on the line of the piece `first` without a large gap between them and it."""
     start = pieces[first, 0]
     across = np.array([-math.sin(heading[first]), math.cos(heading[first])])
     # Most pieces of a large plan start farther away; twice the tolerance, so that rounding does not matter.

@@ -12,7 +12,8 @@ from ..geometry.segments import Floats, Integers
 from .plan import Plan
 from .ray_casting import SegmentIndex, cast_rays, mark_near, tour
 
-# Metres between places. Origin: chosen, half of the distance within which views show mostly the same surfaces.
+# Metres between places. Origin: chosen, less than half of the distance within which views show mostly the same
+# surfaces.
 VIEWPOINT_SPACING = 1.5
 # Metres of free space around a place: a robot fits in, and the inside of a wall has none. Origin: chosen; not measured.
 VIEWPOINT_CLEARANCE = 0.35

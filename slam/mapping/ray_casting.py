@@ -20,8 +20,8 @@ from ..geometry.segments import Floats, Integers
 MIN_CELL = 1.0
 # Cells of an index. Origin: numerical, 16 MB.
 MAX_CELLS = 4_000_000
-# Share of a cell by which it lists segments beside it, and by which a ray goes on after a hit. Origin: numerical, far
-# above rounding.
+# Share of a cell: a cell also lists segments that are so near to it, and a ray goes on so far after a hit.
+# Origin: numerical, far above rounding.
 MARGIN = 1e-6
 
 
@@ -62,7 +62,7 @@ class Hits:
 
     distance  (k, r) metres; infinite for a ray that meets nothing
     row       (k, r) segment; -1 for a ray that meets nothing
-    visible   (k,) rays that meet a segment from a side that can be seen; those of a place with too few are not all cast
+    visible   (k,) rays that meet a segment from a side that can be seen; if they are too few, not all rays were cast
     """
 
     distance: Floats
@@ -84,7 +84,7 @@ def cast_rays(
     one_sided  (n,) true for a segment that can be seen from the left of the way from its first to its second point only
     thickness  metres by which such a segment counts as farther away, across, if it is met from its right
     reach      metres that a ray reaches
-    least      visible rays that are required of a place; with fewer, the others of it are not cast
+    least      visible rays that a place requires; once these cannot be reached any more, its other rays are not cast
 
     A ray p + t r meets the segment a + u (b - a) where t = (a - p) x (b - a) / r x (b - a) and
     u = (a - p) x r / r x (b - a), if t > 0 and 0 <= u <= 1. Of two segments at the same distance the first one counts.
@@ -109,7 +109,7 @@ def mark_near(segments: Floats, origin: Floats, spacing: float, shape: tuple[int
 
 
 def pieces_near_line(pieces: Floats, left: NDArray[np.bool_], start: Floats, across: Floats, limit: float) -> Integers:
-    """Return the rows of those pieces (n, 2, 2) of the ones that are `left` (n,) that start near a line.
+    """Return the rows of the pieces (n, 2, 2) that are `left` (n,) and start near a line.
 
     start   (2,) point on the line
     across  (2,) unit vector perpendicular to it
@@ -120,7 +120,7 @@ def pieces_near_line(pieces: Floats, left: NDArray[np.bool_], start: Floats, acr
 
 
 def tour(places: Floats) -> Integers:
-    """Return the order (k,) of places (k, 2) in which each is the nearest to that before, of those that are left."""
+    """Return an order (k,) of places (k, 2) in which each place is followed by the nearest one not visited yet."""
     order = np.zeros(len(places), dtype=np.int64)
     _tour(places, np.ones(len(places), dtype=np.bool_), order)
     return order

@@ -113,7 +113,7 @@ def cells_of(points: Floats) -> frozenset[int]:
 
 
 def still_covered(cells: Iterable[int], opened: Mapping[int, int], keyframe: int) -> frozenset[int]:
-    """Return those of some cells that a keyframe observed which were not opened then or later.
+    """Return the cells, observed by a keyframe, without those opened at this keyframe or later.
 
     opened  opened cells, and the keyframe after which each was no longer there
     """

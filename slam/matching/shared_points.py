@@ -33,10 +33,10 @@ def split_information(
 ) -> list[tuple[int, Floats]]:
     """Divide the information of a match among several references: return (row of a reference, its part (3, 3)) pairs.
 
-    References of which the match measures nothing are left out. Surfaces that the oldest reference has seen count
-    relative to this one. Those that are left count relative to the next one if it has seen at least half of them, and
-    so on; what is left in the end, relative to the latest one. A reference for each few points would only make the
-    graph larger.
+    Points on surfaces that the oldest reference has seen count relative to it. Of the other points, those on surfaces
+    of the next reference count relative to that, if they are at least half of the others, and so on. The points left in
+    the end count relative to the latest reference. So there is no reference for a few points, which would only make the
+    graph larger. References of which the match measures nothing are left out.
 
     With the information A of all points of the scan and B of some of them, the part of M that is from these is
     M^(1/2) A^(-1/2) B A^(-1/2) M^(1/2), with symmetric roots. M need not be from all points of the scan.

@@ -41,7 +41,7 @@ def measure_walls(wall_map: WallMap, identities: Sequence[int]) -> list[Measurem
 
 
 def wall_lengths(wall_map: WallMap, row: int) -> list[Measurement]:
-    """Measure the length of a wall (row) between each corner at which it begins and the next one at which it ends.
+    """Measure the length of a wall (row) from each corner where a stretch of it begins to the corner where it ends.
 
     Only intersections with two other walls of the map bound it: an open end has no covariance.
     """

@@ -36,8 +36,8 @@ MAX_THICKNESS = 0.6
 JAMB_TOLERANCE = 0.25
 # Share of the wider gap that both faces must have in common. Origin: chosen; not measured.
 MIN_SHARED = 0.5
-# Metres at each end of a gap that a wall may reach into: the jamb. Origin: chosen, half of what a wall may
-# reach beyond a corner.
+# Metres at each end of a gap that a wall may reach into: the jamb. Origin: chosen, half of what a wall may reach beyond
+# a corner.
 JAMB_MARGIN = 0.5 * CORNER_MARGIN
 # Metres beyond an opening at which it leads into a room. Origin: chosen, less than the smallest room; not measured.
 PROBE = 0.3

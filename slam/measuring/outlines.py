@@ -32,8 +32,8 @@ CORNER_MARGIN = 0.3
 # Metres of the longest step between two walls whose lines do not meet there. Origin: chosen, the depth of furniture
 # and the distance of an open door leaf from the wall beside it; not measured.
 MAX_STEP = 0.6
-# Metres that a step counts in excess of its length, so that walls are rather continued to where they meet, and that a
-# wall counts which continues where another one meets it. Origin: chosen, as CORNER_MARGIN; not measured.
+# Metres added to the length of a step, so that walls are rather continued to the corner where they meet. Also added
+# where an outline goes on along a wall that another one meets. Origin: chosen, as CORNER_MARGIN; not measured.
 STEP_COST = CORNER_MARGIN
 # Sine of the least angle at which one wall divides another one. Origin: chosen, 30 degrees; not measured.
 MIN_JUNCTION_SINE = 0.5

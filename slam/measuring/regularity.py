@@ -57,8 +57,9 @@ class RegularMap:
 def regularise(wall_map: WallMap) -> RegularMap:
     """Return the map with right angles and parallels where the joint covariance of its walls supports them.
 
-    A group begins with the wall whose heading is known best among those without a group. All others are tested against
-    it, again after each one that joins, as the direction of the group is known better then.
+    A group begins with the wall whose heading is known best among those without a group. The other walls without a
+    group are tested against it. When walls have joined, the rest is tested again, as the direction of the group is
+    known better then.
     """
     hypotheses = _Hypotheses(wall_map)
     remaining: list[int] = np.argsort(np.diag(wall_map.covariance)[1::2], kind="stable").tolist()

@@ -145,7 +145,7 @@ def _unit_responses(frames, half_lengths, first, last, bearings, travel, poses, 
 
 @compiled
 def _weight_and_place(frame, half_length, bearing, mount, variances):  # type: ignore[no-untyped-def]
-    """Return the weight of a beam in the fit of a line, and where it meets it, metres along it from its middle."""
+    """Return the weight of a beam in the fit of a line, and where it meets the line, metres from the line's middle."""
     c, s = math.cos(frame[2]), math.sin(frame[2])
     x, y = mount[0] - frame[0], mount[1] - frame[1]
     start, distance = c * x + s * y, max(abs(c * y - s * x), MIN_WALL_DISTANCE)

@@ -24,10 +24,10 @@ from .scanned_map import ScannedDrive, ScannedMap, are_on_walls
 
 # Points in seen space that a cell needs: half a metre of wall. Origin: definition.
 MIN_CELL_POINTS = 5
-# Probability that a cell fits that is as it was, and the largest one that a cell fits anywhere.
+# Probability that an unchanged cell fits, and upper bound of the probability that a cell fits anywhere.
 # Origin: chosen, for points that are noise; not measured.
 MAX_FIT = 0.995
-# Probabilities that a cell that is on no long wall is as it was, equally likely before: more than half of them stays.
+# Probabilities that a cell on no long wall is unchanged, all equally likely before: at least half of the cells are.
 # Origin: chosen; at the closures of Intel and fhw 66 and 72 % fit.
 UNCHANGED_PROBABILITIES = np.linspace(0.5, MAX_FIT, 100)
 # Probability that a cell of a long wall has changed, relative to that of another cell. Origin: chosen, as walls change

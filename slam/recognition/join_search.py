@@ -128,7 +128,7 @@ class JoinSearch:
 
 
 def _decide(look: Look, mapper: Mapper, location: Location, old: Integers, since: int) -> LoopDecision:
-    """Return the decision to move the drive where it was located.
+    """Return the decision to move the drive to the place where it was located.
 
     look   from the last keyframe
     old    (n,) keyframes of the map in which it was located

@@ -29,11 +29,11 @@ MAX_NAMED_RIVALS = 3
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """What is known before about where a drive is.
+    """Knowledge about the place of a drive before it is searched for, and what a decision requires.
 
-    prior   probability that it is in the map
-    mapped  least share of what it shows that the map has seen, 0 to 1. The more of a drive is not mapped, the more of
-            the building is not mapped either, and may look like what is.
+    prior   probability that the drive is in the map
+    mapped  least share, 0 to 1, of the surfaces in the drive's scans that must be in space the map has seen. If less is
+            mapped, much of the building is not mapped either, and a place there may look like one in the map.
     error   largest probability of a wrong decision, if cells are independent; neighbouring ones are not quite
     """
 

@@ -1,8 +1,8 @@
 """Placements of a map in another one: candidates from the walls of its submaps, refined submap by submap.
 
-A match of one submap implies a placement of all of them. The others are refined from where they are predicted, by their
-poses relative to those that have been refined, within the covariance of that prediction: so a map can bend as far as
-its own drift, and no farther.
+A match of one submap implies a placement of all submaps. The others are refined one after the other. Each starts where
+it is predicted from its pose relative to a submap refined before, and must stay within the covariance of this
+prediction: so a map can bend as far as its own drift, and no farther.
 """
 
 from __future__ import annotations

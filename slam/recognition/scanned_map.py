@@ -33,7 +33,7 @@ from .map_index import MapIndex, index_map
 EVIDENCE_CELL = 1.0
 # Metres of a wall that is not a piece of furniture. Origin: chosen, longer than usual tables and cupboards.
 MIN_WALL_LENGTH = 3.0
-# Metres between points that are kept of each surface, so that evidence does not depend on how often it was seen.
+# Metres between the points kept of a surface, so that evidence does not depend on how often the surface was seen.
 # Origin: chosen, two cells of a distance field; not measured.
 THINNED_SPACING = 0.1
 # Metres from the outermost point to the border of a distance field. Origin: chosen; not measured.

@@ -201,7 +201,7 @@ class NodeOutputs:
             self._put_pose(encoder.pose(now.stamp, parameters.map_frame, now.pose, now.covariance))
 
     def _finish_scan(self, scan: ScanTracked) -> None:
-        """Publish what comes with a scan: the status, and the pose if there is no odometry that it comes with."""
+        """Publish what comes with a scan: the status, and the pose if there is no odometry to publish it with."""
         if self._predicts_odometry:
             stamp, parameters = scan.stamp - self.shift, self._parameters
             base = self._encoder.transform(stamp, parameters.odom_frame, parameters.base_frame, scan.odometry)

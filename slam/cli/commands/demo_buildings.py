@@ -28,7 +28,7 @@ class MapRecording(Protocol):
     """Function that maps a drive."""
 
     def __call__(self, source: str | Source, out: Path, *, plan: PlanMap | None = None) -> object:
-        """Map a recording or a simulation, or what names one, into a directory, with a plan if there is one."""
+        """Map a recording or a simulation, opened or by its name, into a directory, with a plan if there is one."""
 
 
 def draw_office_changes(map_recording: MapRecording, directory: Path, scratch: Path) -> None:

@@ -1,8 +1,8 @@
 """Map simulated drives with a plan of the building, right or wrong, and compare the results with the truth.
 
 The start of a drive is unknown. The plan has the frame of the world, so poses are compared without an alignment. A wall
-of the plan is wrong if the building has none there. It is found if the comparison of plan and map names it, or a wall
-where it is in fact; a right one is blamed if it is named.
+of the plan is wrong if the building has none there. A wrong wall is found if the comparison of plan and map names it,
+or a wall at its true place. A right wall is blamed if the comparison names it.
 """
 
 from __future__ import annotations

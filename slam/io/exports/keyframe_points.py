@@ -41,8 +41,8 @@ class KeyframePoints:
     def placed(self, pose: se2.Pose) -> Iterator[PlacedScan]:
         """Yield the scan of each lidar in the map, taken with the base at `pose`.
 
-        Of several lidars the nearest to a point counts as the one that has measured it: they are close together, and
-        what one of them sees, others in the direction of the point see too.
+        If there are several lidars, a point counts as measured by the nearest one. This hardly matters, as they are
+        close together.
         """
         points = np.asarray(self.points, dtype=np.float64)
         nearest = _distances(points, self.lidars).argmin(axis=1)

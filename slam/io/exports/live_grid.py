@@ -1,8 +1,8 @@
 """Occupancy grid of a running estimate, corrected where the map was corrected, in a thread of its own.
 
-Keyframes are added as they come. A correction that moves a drawn point by more than a cell removes the keyframe's beams
-and adds them where they are now, so its cost is that of the keyframes that have moved. An update draws for a limited
-time, and a pause follows in proportion to what it took, so mapping is hardly delayed however much has moved.
+Keyframes are added as they come. If a correction has moved a point of a keyframe by more than a cell, the keyframe's
+beams are removed and drawn again at the new pose. An update draws for a limited time and is followed by a pause in
+proportion to that time, so mapping is hardly delayed however much has moved.
 """
 
 from __future__ import annotations

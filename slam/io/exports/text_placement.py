@@ -107,7 +107,7 @@ def text_box(place: Floats, text: str, angle: float, height: float = TEXT_HEIGHT
 
 
 def overlaps(box: Floats, others: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Return which of the boxes (k, 5) a box (5,) overlaps: those that no direction of an edge separates from it."""
+    """Return which of the boxes (k, 5) a box (5,) overlaps: no direction of their edges separates these from it."""
     apart = others[:, :2] - box[:2]
     turn = others[:, 2] - box[2]
     cos, sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))

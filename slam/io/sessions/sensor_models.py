@@ -70,7 +70,7 @@ class SensorModelsRecord(Record):
 
     @model_serializer(mode="wrap")
     def _without_second_lidar(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields; those of a second lidar, which few robots have, only if there is one."""
+        """Return the fields without those that are None: few robots have a second lidar."""
         fields: dict[str, Any] = serialize(self)
         return {name: value for name, value in fields.items() if value is not None}
 

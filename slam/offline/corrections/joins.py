@@ -62,7 +62,7 @@ def separation_of(parts: MapParts, decisions: Sequence[Row], loop: int) -> Separ
 
 
 def _joins(ends: Mapping[int, tuple[int, int]], count: int) -> list[int]:
-    """Return the numbers of the closures that connected parts which those before them did not."""
+    """Return the numbers of the closures that connected parts not connected by the closures before them."""
     joins: list[int] = []
     for number, (first, second) in ends.items():
         roots = _roots([ends[other] for other in joins], count)

@@ -97,9 +97,9 @@ class LoopCorrector:
     def forbid(self, correction: LoopForbidding, ties: Collection[tuple[int, int]]) -> dict[str, Any]:
         """Remove a closure and what rests on it; return how far the robot moves.
 
-        ties  walls (kept, absorbed) that a person has tied, which stay one
+        ties  walls (kept, absorbed) that a person has tied: they stay one wall
 
-        Raises MapError if it is not closed, or if another one has to be forbidden before.
+        Raises MapError if the loop is not closed, or if another loop has to be forbidden first.
         """
         mapper, row = self._state.mapper, self._row(correction.loop)
         if row["status"] != LoopStatus.ACCEPTED:
@@ -126,7 +126,7 @@ class LoopCorrector:
         return {"keyframe": keyframe, "old": old, "shift": shift, "separated": parted is not None}
 
     def _separate_parts(self, parted: Separation, ties: Collection[tuple[int, int]]) -> None:
-        """Separate parts from those before them, and move them to where odometry leads."""
+        """Separate parts of the map from earlier parts, and move them to where odometry leads."""
         mapper, parts = self._state.mapper, self._state.mapper.landmarks.parts
         first, end = ([*parts.firsts, mapper.keyframe_count][k] for k in (parted.part, parted.end))
         motion = motion_to_part(mapper, first)

@@ -167,7 +167,7 @@ class _Model:
             p_value[k] = chdtrc(sizes[row], squared[row])
 
     def search(self, used: np.ndarray) -> se2.Pose:
-        """Return the motion with which most used pins agree, among those that one or two pins define."""
+        """Return the motion that most used pins agree with, of all motions that are defined by one or two pins."""
         if self.fixed:
             return np.zeros(3)
         pins = [pin for pin, is_used in zip(self.pins, used, strict=True) if is_used]

@@ -20,8 +20,8 @@ from .movement import Movements, find_movements
 from .sight import SeenThrough, Sightings, covered_share, find_sightings
 from .surveys import Survey, locate
 
-# Metres across and radians within which a wall that has no counterpart may be one that was moved: beyond, it is one
-# wall that is gone and another one that is new. Origin: chosen; not measured.
+# Metres across and radians by which a wall may have moved at most: farther apart, the old wall is gone and the new one
+# is another wall. Origin: chosen; not measured.
 MAX_SHIFT, MAX_TURN = 0.5, math.radians(10.0)
 # Metres across and radians within which walls are the same until a test shows that one has moved.
 # Origin: chosen, as the last gate of the alignment; not measured.
@@ -178,11 +178,11 @@ def find_pairs(old: MapWalls, new: MapWalls, motion: se2.Pose) -> Integers:
 
 
 def _without_hidden(pairs: Integers, old: MapWalls, new: MapWalls, motion: se2.Pose, hidden: Floats) -> Integers:
-    """Return the pairs (n, 2) without those whose new wall is nearer to one that the plan hides than to the old one.
+    """Return the pairs (n, 2) without those whose new wall is nearer to a hidden line of the plan than to the old wall.
 
     hidden  (h, 2, 2) lines of the plan that no view shows, because of what is in front of them
 
-    The wall was there, and that in front of it has gone: it has not moved there.
+    Such a new wall is the hidden line, seen because the old wall in front of it is gone: nothing has moved.
     """
     in_old, ends_of_old = se2.compose(motion, new.frame), old.end_points()
     kept = []
@@ -285,7 +285,7 @@ def _unseen(
     found: list[Change],
     motion: se2.Pose,
 ) -> list[Change]:
-    """Return the walls of one map that are not in the other one, and less than half of which its scans have seen."""
+    """Return the walls of one map that the other map lacks and of which its scans have seen less than half."""
     walls = wall_map.walls
     lengths = np.array([float((pieces[:, 1] - pieces[:, 0]).sum()) for pieces in walls.pieces])
     again = kind is ChangeKind.NOT_SEEN_AGAIN

@@ -1,9 +1,9 @@
 """Which walls of one map the scans of another one have seen, and which they have seen through.
 
-A scan votes on a stretch of a wall: that it is there if points lie on at least as much of it as the scan sees through,
-else that it is not. If nothing has changed, scans of both drives see through it with the same probability, which is
-that of glass, of a grating, or nearly zero. Given how many do in all, the number of those of one drive then has a
-hypergeometric distribution (Fisher's exact test).
+A scan votes that a stretch of a wall is there if its points lie on at least as much of the stretch as it sees through;
+else it votes that the stretch is not there. If nothing has changed, scans of both drives see through it with the same
+probability: that of glass, of a grating, or nearly zero. Given the total number of scans that see through it, the
+number of those of one drive then has a hypergeometric distribution (Fisher's exact test).
 """
 
 from __future__ import annotations

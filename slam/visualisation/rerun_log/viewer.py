@@ -16,8 +16,8 @@ from ...errors import OutputError
 
 LOCALHOST, ALL_INTERFACES = "127.0.0.1", "0.0.0.0"
 PORT = 9877
-"""Not 9876, the viewers' own default: a viewer that finds a server there takes it for another viewer and sends it the
-log that it was started with.
+"""Not 9876, the default of viewers: a viewer takes a server at that port for another viewer, and sends it the log that
+it was started with.
 """
 
 
