@@ -13,7 +13,7 @@ from drivers.messages import GroundTruth, InitialPose, Message, Odometry, delay_
 from .config import Config
 from .errors import MapError, SlamError
 from .estimation.estimator import Estimator
-from .estimation.map_view import final_result, map_features
+from .estimation.map_view import map_features
 from .estimation.scan_update import add_second_look
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
@@ -33,7 +33,7 @@ from .reporting.localisation_report import LocalisationReport
 from .reporting.publisher import Publisher
 from .reporting.run_statistics import RunStatistics, run_summary
 from .reporting.scan_report import ScanReport
-from .run_end import check_run, is_unknown_place, map_alone, settle_plan, settle_trajectory
+from .run_end import is_unknown_place, map_alone, publish_run, settle_plan, settle_trajectory
 from .run_session import RunSession, RunSnapshot
 from .run_start import continued_state, new_state, start_journal, start_preprocessor
 
@@ -301,26 +301,12 @@ class Slam:
         add_second_look(self.slam_state)
         self._leave_out_unknown_session()
         self._journal.mark_rest_dispensable(self.slam_state.keyframe_stamps)
-        self._session = session or self._stored.at_end(self.slam_state.copy())
-        state, journal = self.slam_state, self._journal
+        state = self.slam_state
+        self._session = session or self._stored.at_end(state.copy())
         summary = self._settle(self._session)
         if self._refine:
             self._session = self._stored.at_end(state)
-        stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
-        after = self._results_after
-        stamps, poses = stamps[stamps > after], poses[stamps > after]
-        if not len(stamps):
-            raise MapError("no measurement is later than those of the session whose map is used")
-        own = stamps > journal.resumed_at
-        self._publisher.publish_unseen(journal.scans.stamps[journal.first_row :], stamps[own], poses[own])
-        self._publisher.publish_residuals(float(stamps[-1]), state.mapper)
-        suspects = check_run(
-            state, journal, self._publisher, start=float(stamps[0]), after=after, predicted=self._motions.predicted
-        )
-        sweep_covariances = journal.history(state).sweep_covariances
-        result = final_result(state, (stamps, poses), sweep_covariances, summary | {"suspects": suspects})
-        self._publisher.publish(result)
-        return result
+        return publish_run(state, self._journal, self._publisher, summary, after=self._results_after)
 
     def _settle(self, session: StoredSession) -> dict[str, object]:
         """Settle the map and the trajectory; return the summary. `session` gets the decisions that this leads to."""

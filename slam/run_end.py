@@ -1,11 +1,9 @@
-"""Steps at the end of a run: leaving out an unknown session, settling the plan, refining or matching, checking."""
+"""Steps at the end of a run: leaving out an unknown session, settling the plan, refining or matching, publishing."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from .checks.adapter import drive_of, unconnected_parts, unconstrained_stretches, unmatched_stretches
-from .checks.report import find_suspects
 from .config import Config
 from .errors import MapError
 from .estimation.estimator import Estimator
@@ -13,11 +11,12 @@ from .estimation.journal import Journal
 from .estimation.refinement import ScanHistory, match_trajectory, refine
 from .estimation.slam_state import SlamState
 from .estimation.wall_bends import settle_wall_bends
-from .events import Notice
+from .events import Finished, Notice
 from .localisation.tracking import PoseFix
 from .memory import return_freed_memory
 from .odometry.scan_delay import ScanDelay, estimate_scan_delay
 from .reporting.publisher import Publisher
+from .reporting.results import publish_results
 from .reporting.run_statistics import RunStatistics
 
 
@@ -123,22 +122,21 @@ def _find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:
     return estimate_scan_delay(stamps[rows], state.mapper.keyframe_poses[rows], history, state.odometry_model)
 
 
-def check_run(
-    state: SlamState, journal: Journal, publisher: Publisher, *, start: float, after: float, predicted: bool
-) -> list[dict[str, object]]:
-    """Check the finished run against itself; publish the findings and return the summary's part.
+def publish_run(
+    state: SlamState, journal: Journal, publisher: Publisher, summary: dict[str, object], *, after: float
+) -> Finished:
+    """Check the finished run against itself, publish its results, and return them.
 
-    start      stamp (seconds) from which times in texts are counted
-    after      stamp (seconds) up to which findings are left out; -inf for none
-    predicted  true if motions are predicted, as there is no odometry
+    after  stamp (seconds) after which poses belong to the results
+
+    Raises MapError if none does.
     """
-    placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
-    drive = drive_of(journal.scans, journal.segments, placed, state.odometry_model, start)
-    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps, start), *find_suspects(drive)]
-    if predicted:
-        suspects += unconstrained_stretches(state.trajectory, state.mapper.keyframe_poses, state.odometry_model)
-    else:
-        suspects += unmatched_stretches(state.mapper, state.trajectory, state.keyframe_stamps)
-    suspects = [suspect for suspect in suspects if suspect.stamp > after]
-    publisher.publish_suspects(suspects, state.keyframe_stamps, start)
-    return [suspect.row(start) for suspect in suspects]
+    stamps, poses = journal.segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
+    stamps, poses = stamps[stamps > after], poses[stamps > after]
+    if not len(stamps):
+        raise MapError("no measurement is later than those of the session whose map is used")
+    own = stamps > journal.resumed_at
+    publisher.publish_unseen(journal.scans.stamps[journal.first_row :], stamps[own], poses[own])
+    sweep_covariances = journal.history(state).sweep_covariances
+    path = stamps, poses
+    return publish_results(state, journal.scans, journal.segments, path, sweep_covariances, summary, publisher)

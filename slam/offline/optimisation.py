@@ -8,10 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks.adapter import drive_of, unconnected_parts
-from ..checks.report import find_suspects
 from ..errors import MapError
-from ..estimation.map_view import final_result
 from ..estimation.refinement import refine
 from ..estimation.wall_bends import settle_wall_bends
 from ..events import Finished, Notice, Sink
@@ -21,7 +18,9 @@ from ..localisation.tracking import PoseFix
 from ..mapping.convergence import converge
 from ..mapping.mapper import Mapper
 from ..mapping.odometry_segments import OdometrySegments
+from ..mapping.plan_map import VIEWS_END
 from ..reporting.publisher import Publisher
+from ..reporting.results import publish_results
 
 # Number of keyframes with the largest shifts in the summary.
 LISTED_SHIFTS = 5
@@ -69,24 +68,13 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
 
 
 def summarise_session(session: StoredSession, summary: dict[str, Any], publisher: Publisher) -> Finished:
-    """Check a session whose map is settled; publish and return its map and trajectory, with `summary` extended.
-
-    Publishes the residuals as well.
-    """
+    """Check a session whose map is settled; publish and return its map and trajectory, with `summary` extended."""
     state, segments = session.slam_state, OdometrySegments(session.odometry, session.starts)
-    poses = state.mapper.keyframe_poses
-    path = segments.trajectory(state.trajectory, poses)
-    start = float(path[0][0])
-    drive = drive_of(session.scans, segments, state.trajectory.at_scans(poses), state.odometry_model, start)
-    suspects = [*unconnected_parts(state.mapper, state.keyframe_stamps, start), *find_suspects(drive)]
-    publisher.publish_suspects(suspects, state.keyframe_stamps, start)
     history = session.scan_history()
-    bends = settle_wall_bends(state.mapper, history)
-    publisher.publish_residuals(session.scans[-1].stamp, state.mapper)
-    summary = summary | {"wall_bends": bends, "suspects": [suspect.row(start) for suspect in suspects]}
-    result = final_result(state, path, history.sweep_covariances, summary)
-    publisher.publish(result)
-    return result
+    summary = summary | {"wall_bends": settle_wall_bends(state.mapper, history)}
+    stamps, poses = segments.trajectory(state.trajectory, state.mapper.keyframe_poses)
+    path = stamps[stamps > VIEWS_END], poses[stamps > VIEWS_END]
+    return publish_results(state, session.scans, segments, path, history.sweep_covariances, summary, publisher)
 
 
 def _changes(before: Mapper, after: Mapper) -> dict[str, Any]:

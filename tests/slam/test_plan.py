@@ -29,6 +29,7 @@ from slam.mapping.plan import Plan
 from slam.mapping.plan_map import PlanMap, build_plan_map
 from slam.offline.map_diff import ChangeKind
 from slam.offline.map_diff.plan import compare_with_plan, survey_plan
+from slam.offline.optimisation import optimise
 
 from .simulated_worlds import furnished_room
 
@@ -225,7 +226,7 @@ def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns(
 
 
 def test_a_plan_that_is_localised_in_can_be_extended(sparse_drive: list[Message], tmp_path: Path) -> None:
-    """The eastern part of the office is not in the plan. The path has nothing but the drive."""
+    """The eastern part of the office is not in the plan. The path has nothing but the drive, also when refined."""
     segments = load_world("office").segments.reshape(-1, 2, 2)
     known = segments[segments[..., 0].max(axis=1) < WING + 0.5]
     plan = build_plan_map(Plan("west", known, np.zeros(len(known), dtype=bool), 1e-3), SIGMAS)
@@ -245,6 +246,7 @@ def test_a_plan_that_is_localised_in_can_be_extended(sparse_drive: list[Message]
     for message in sparse_drive[-400:]:
         continued.add(replace(message, stamp=message.stamp + 100.0))
     assert continued.finish().stamps[0] >= sparse_drive[0].stamp
+    assert optimise(read_session(tmp_path)).finished.stamps[0] >= sparse_drive[0].stamp
 
 
 def test_a_refined_map_is_supported_by_the_plan(sparse_drive: list[Message]) -> None:
