@@ -54,7 +54,7 @@ class Acquisition:
     deliver    False if no messages are wanted, only snapshots
     driving    limits of `drive`; None: no drive command is ever sent
     in_order   True to deliver messages in the order of their stamps; False as they arrive, up to one revolution
-               earlier, for a consumer that needs no order, see `EarlyDelivery`
+               earlier, for a consumer that needs no order, see `EarlyDelivery`. The recording is always in order
     snapshot   latest status received; it is updated while messages are received
     """
 

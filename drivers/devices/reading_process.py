@@ -35,21 +35,13 @@ SWITCH_INTERVAL = 5e-4
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What the reading process does.
-
-    specs      of the devices
-    recording  file to which all messages are written, replaced if it exists; None: no recording
-    deliver    False if the consumer takes snapshots only
-    driving    limits of drive commands to the wheel base; None: it is not driven
-    in_order   True to deliver messages in the order of their stamps, False as they arrive, see `EarlyDelivery`. The
-               recording is in order
-    """
+    """What the reading process does; for the fields see `Acquisition`."""
 
     specs: tuple[DeviceSpec, ...]
-    recording: Path | None = None
-    deliver: bool = True
-    driving: DriveLimits | None = None
-    in_order: bool = True
+    recording: Path | None
+    deliver: bool
+    driving: DriveLimits | None
+    in_order: bool
 
 
 @dataclass(frozen=True, slots=True)
