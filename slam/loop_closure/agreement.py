@@ -161,7 +161,7 @@ class LoopAgreement:
     def _restore(self, state: LoopAgreementState, submaps: Submaps) -> None:
         self._last_search, self._submaps = state.last_search, submaps
         self._searched = dict(state.searched)  # metres driven up to the last search of each place
-        self._returned_at = list(state.returns)  # metres driven up to each look that agrees with the estimate
+        self._returned_at = list(state.returned_at)  # metres driven up to each look that agrees with the estimate
         self._contradictions = list(state.contradictions)  # metres driven up to each look that contradicts the estimate
         self._hypotheses = [h.copy() for h in state.hypotheses]
         self._candidates, self._retracted = state.candidates, list(state.retracted)

@@ -64,7 +64,7 @@ class LoopAgreementState:
     last_search     metres driven up to the last look
     places          submaps of the last old places, by the keyframe in their middle, in the order of building
     searched        metres driven up to the last search of each place, by the keyframe in its middle
-    returns         metres driven up to each look that agrees with the estimate
+    returned_at     metres driven up to each look that agrees with the estimate
     contradictions  metres driven up to each look that contradicts the estimate, since the last return
     hypotheses      with at least one look each that supports them
     candidates      number of closures so far
@@ -74,7 +74,7 @@ class LoopAgreementState:
     last_search: float = 0.0
     places: Sequence[tuple[int, OldPlace]] = ()
     searched: Sequence[tuple[int, float]] = ()
-    returns: Sequence[float] = ()
+    returned_at: Sequence[float] = ()
     contradictions: Sequence[float] = ()
     hypotheses: Sequence[LoopHypothesis] = ()
     candidates: int = 0

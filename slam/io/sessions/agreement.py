@@ -66,7 +66,7 @@ def agreement_record(state: LoopAgreementState) -> AgreementRecord:
             for centre, place in state.places
         ],
         searched=list(state.searched),
-        returns=list(state.returns),
+        returns=list(state.returned_at),
         contradictions=list(state.contradictions),
         hypotheses=[_hypothesis_record(hypothesis) for hypothesis in state.hypotheses],
         candidates=state.candidates,

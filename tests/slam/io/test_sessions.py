@@ -89,7 +89,7 @@ def test_agreement_on_a_loop_is_read_back(written: tuple[StoredSession, Path], t
     state.loops.restore(expected, state.local_field)
     write_directory(tmp_path / "out", session)
     restored = read_session(tmp_path / "out").slam_state.loops.state
-    assert (restored.last_search, list(restored.returns)) == (1.75, [0.25, 0.75])
+    assert (restored.last_search, list(restored.returned_at)) == (1.75, [0.25, 0.75])
     assert (list(restored.searched), restored.candidates) == ([(1, 1.5)], 3)
     np.testing.assert_array_equal(restored.retracted, [np.ones(3)])
     ((centre, same),) = restored.places
