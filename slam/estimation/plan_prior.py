@@ -17,7 +17,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import CLOSING_UPDATES
-from ..loop_closure.closing import LOOP_FACTOR_SIGMAS
+from ..loop_closure.closing import LOOP_FACTOR_COVARIANCE
 from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.frame_change import change_frame
 from ..mapping.map_features import MapWalls
@@ -149,7 +149,7 @@ class PlanPrior:
         A temporary prior moves the map into place: the walls that agree with the plan then hold it there.
         """
         graph, last = mapper.graph, mapper.keyframe_count - 1
-        graph.add_keyframe_prior(last, se2.compose(motion, mapper.pose), LOOP_FACTOR_SIGMAS)
+        graph.add_keyframe_prior(last, se2.compose(motion, mapper.pose), LOOP_FACTOR_COVARIANCE)
         temporary = graph.update()
         graph.update_until_converged(CLOSING_UPDATES)
         mapper.read_back_all()

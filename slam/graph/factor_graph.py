@@ -43,8 +43,6 @@ GAUGE_PRIOR_SIGMA = 0.1
 FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])
 # Metres across and radians: standard deviations of a wall equality. Origin: chosen; not measured.
 SAME_WALL_SIGMAS = np.array([5e-3, 3e-3])
-
-
 # Slope of observations that do not depend on the range bias. Origin: definition.
 NO_SLOPE = np.zeros(2)
 
@@ -142,9 +140,12 @@ class FactorGraph(GraphEstimate):
         """
         self._add(FactorKind.WALL_EQUALITY, wall, other, np.array([along, 0.0, 0.0]), np.diag(SAME_WALL_SIGMAS**2))
 
-    def add_keyframe_prior(self, keyframe: int, pose: se2.Pose, sigmas: Floats) -> None:
-        """Add the `pose` of a keyframe in the map (sigmas (3,) in metres and radians), without a robust kernel."""
-        self._add(FactorKind.POSE_PRIOR, keyframe, keyframe, pose, np.diag(sigmas**2))
+    def add_keyframe_prior(self, keyframe: int, pose: se2.Pose, covariance: Floats) -> None:
+        """Add the `pose` of a keyframe in the map, without a robust kernel.
+
+        covariance  (3, 3) in the keyframe's frame
+        """
+        self._add(FactorKind.POSE_PRIOR, keyframe, keyframe, pose, covariance)
 
     def add_plan_wall(self, wall: int, frame: se2.Pose, covariance: Floats) -> None:
         """Add the `frame` of a wall in the map by a plan, near the wall's own, with the covariance (2, 2) there."""
@@ -158,12 +159,11 @@ class FactorGraph(GraphEstimate):
         """Add the surveyed `frame` of a wall in the map, near the wall's own, with the covariance (2, 2) there."""
         self._add(FactorKind.PINNED_WALL, wall, wall, frame, covariance)
 
-    def add_loop(self, old: int, keyframe: int, relative: se2.Pose, sigmas: Floats) -> None:
-        """Add a keyframe's pose relative to an old one (sigmas (3,) in metres and radians), without a robust kernel."""
-        self._add(FactorKind.LOOP, old, keyframe, relative, np.diag(sigmas**2))
+    def add_loop(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
+        """Add a keyframe's pose relative to an old one, without a robust kernel.
 
-    def add_loop_match(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
-        """Add a loop factor with a full covariance (3, 3), in the keyframe's frame, without a robust kernel."""
+        covariance  (3, 3) in the keyframe's frame
+        """
         self._add(FactorKind.LOOP, old, keyframe, relative, covariance)
 
     def add_point_map(self, keyframe: int, covariance: Floats) -> None:

@@ -20,9 +20,9 @@ from .loop_status import LoopStatus
 from .relative_uncertainty import MAX_SQUARED_DISTANCE
 from .submap_search import SUBMAP_LENGTH
 
-# Metres, metres, radians: standard deviations of the temporary loop factor, which only moves the map into place.
+# Covariance (3, 3) of the temporary loop factor, which only moves the map into place, metres and radians.
 # Origin: chosen, tighter than any drift; not measured.
-LOOP_FACTOR_SIGMAS = np.array([0.01, 0.01, np.radians(0.2)])
+LOOP_FACTOR_COVARIANCE = np.diag(np.array([0.01, 0.01, np.radians(0.2)]) ** 2)
 # Least share of the matched walls that must coincide after the correction. Origin: chosen; not measured.
 MIN_COINCIDING_SHARE = 0.5
 # Metres between two walls that are merged, after the correction. Origin: chosen; not measured.
@@ -77,7 +77,7 @@ def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.boo
     """
     graph = mapper.graph
     for match in decision.matches:
-        graph.add_loop(match.old, match.keyframe, match.relative, LOOP_FACTOR_SIGMAS)
+        graph.add_loop(match.old, match.keyframe, match.relative, LOOP_FACTOR_COVARIANCE)
     numbers = graph.update()
     graph.update_until_converged(CLOSING_UPDATES)
     mapper.read_back_all()
@@ -88,7 +88,7 @@ def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.boo
     merged = _merge_coinciding_walls(mapper, recent)
     graph.remove_factors(numbers)
     for match in agreeing:
-        graph.add_loop_match(match.old, match.keyframe, match.relative, POINT_SHARING * match.covariance)
+        graph.add_loop(match.old, match.keyframe, match.relative, POINT_SHARING * match.covariance)
     graph.update()
     graph.update_until_converged(CLOSING_UPDATES)
     mapper.read_back_all()

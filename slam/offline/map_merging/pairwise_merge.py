@@ -19,7 +19,7 @@ from ...estimation.tracking_checkpoint import TrackingCheckpoint
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
 from ...localisation.local_field import MAX_PATH, LocalFieldState
-from ...loop_closure.closing import LOOP_FACTOR_SIGMAS, MIN_COINCIDING_SHARE, walls_coincide
+from ...loop_closure.closing import LOOP_FACTOR_COVARIANCE, MIN_COINCIDING_SHARE, walls_coincide
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.convergence import converge
 from ...mapping.mapper import Mapper
@@ -101,13 +101,13 @@ def _merge_maps(
     mapper.graph.add_matches(merge_matches(first, second))
     matches = [_match_of(member, first) for member in members]
     for old, new, relative, _ in matches:
-        mapper.graph.add_loop(old, new, relative, LOOP_FACTOR_SIGMAS)
+        mapper.graph.add_loop(old, new, relative, LOOP_FACTOR_COVARIANCE)
     temporary = mapper.solve()[-len(members) :]
     mapper.recompute_pose_covariances()
     _merge_matched_walls(mapper, members, len(first.landmarks.walls))
     mapper.graph.remove_factors(temporary)
     for match in matches:
-        mapper.graph.add_loop_match(*match)
+        mapper.graph.add_loop(*match)
     mapper.graph.update()
     converge(mapper)
     return mapper

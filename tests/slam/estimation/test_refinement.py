@@ -284,7 +284,7 @@ def drive_through_clutter() -> tuple[Mapper, ScanHistory, np.ndarray]:
             mapper.graph.add_point_map(k - 1, covariance)
             mapper.graph.add_scan_match(k - 1, k, se2.between(true[k - 1], true[k]), covariance)
     for k in (0, 5, 10, 15):
-        mapper.graph.add_loop_match(k, count + k, se2.between(true[k], true[count + k]), covariance)
+        mapper.graph.add_loop(k, count + k, se2.between(true[k], true[count + k]), covariance)
     mapper.graph.add_submap_match(2, count + 2, se2.between(true[2], true[count + 2]), covariance)
     mapper.solve()
     return mapper, history, true

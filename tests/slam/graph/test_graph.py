@@ -294,7 +294,7 @@ def test_switching_to_qr_keeps_the_estimate() -> None:
     world = make_world(1)
     cholesky, qr = make_graph(world), make_graph(world)
     for graph in (cholesky, qr):
-        graph.add_loop(0, 6, se2.between(world.poses[0], world.poses[6]), np.full(3, 0.01))
+        graph.add_loop(0, 6, se2.between(world.poses[0], world.poses[6]), 1e-4 * np.eye(3))
         graph.remove_factors(graph.update())
     qr.solver.switch_to_qr(RuntimeError("Indeterminate linear system"))
     for graph in (cholesky, qr):  # factors can be removed by their new numbers
@@ -356,7 +356,7 @@ def test_residuals_are_not_reduced_by_the_robust_kernel() -> None:
     graph.add_keyframe(1, np.array([1.0, 0.0, 0.0]), 0, np.array([1.0, 0.0, 0.0]), 1e-8 * np.eye(3))
     graph.add_point_map(0, 1e-8 * np.eye(3))
     graph.add_scan_match(0, 1, np.array([1.05, 0.0, 0.0]), 1e-4 * np.eye(3))
-    graph.add_loop_match(0, 1, np.array([1.05, 0.0, 0.0]), 1e-4 * np.eye(3))
+    graph.add_loop(0, 1, np.array([1.05, 0.0, 0.0]), 1e-4 * np.eye(3))
     graph.add_submap_match(0, 1, np.array([1.05, 0.0, 0.0]), 1e-4 * np.eye(3))
     graph.update()
     solve_with_range_bias(graph)
@@ -402,7 +402,7 @@ def test_degrees_of_freedom_are_measurements_less_variables() -> None:
     graph.add_keyframe(1, np.array([1.0, 0.0, 0.0]), 0, np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3))
     graph.update()
     assert graph.degrees_of_freedom() == 0  # everything is determined just once
-    graph.add_loop(0, 1, np.array([1.01, 0.0, 0.0]), np.full(3, 0.01))
+    graph.add_loop(0, 1, np.array([1.01, 0.0, 0.0]), 1e-4 * np.eye(3))
     graph.add_corner(0, np.array([2.0, 1.0]))
     for keyframe, position in ((0, [2.0, 1.0]), (1, [1.0, 1.0])):
         graph.add_corner_observation(keyframe, 0, np.array(position), 1e-4 * np.eye(2))
