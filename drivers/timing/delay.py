@@ -21,6 +21,7 @@ import numpy as np
 
 from ..messages import Floats
 from .beam_times import STATED, BeamTimes
+from .robust_weights import MIN_ERROR, WEIGHT_ITERATIONS, robust_weights
 from .student import statistic, upper_limit
 from .turns import MAX_SCAN_PERIOD, Run, Turns, deskewed
 
@@ -42,12 +43,6 @@ MAX_SIGMA = 0.1
 # Largest scale of odometry's turns; beyond, its turns are not those of the lidar.
 # Origin: chosen, well beyond calibration errors.
 MAX_TURN_SCALE = 2.0
-# Typical errors of a block from which on its weight falls. Origin: chosen, usual for robust weights.
-ROBUST_SIGMAS = 3.0
-# Times that the weights are computed. Origin: numerical.
-WEIGHT_ITERATIONS = 10
-# Radians, least typical error of a block. Origin: numerical.
-MIN_ERROR = 1e-5
 # Probability of finding a delay where there is none. Origin: chosen, so that no user meets it.
 ERROR_PROBABILITY = 1e-6
 # Probability below which the turns from scan to scan contradict a delay. Origin: chosen, the usual level of a test: a
@@ -167,8 +162,7 @@ def _weights(blocks: _Blocks) -> Floats:
     for _ in range(WEIGHT_ITERATIONS):
         _, k, scale = _best(blocks, weights)
         squared = blocks.yy - 2.0 * scale * blocks.xy[:, k] + scale**2 * blocks.xx[:, k]
-        error = np.sqrt(np.maximum(squared, 0.0) / blocks.count)
-        weights = 1.0 / (1.0 + (error / (ROBUST_SIGMAS * (np.median(error) + MIN_ERROR))) ** 2)
+        weights = robust_weights(np.sqrt(np.maximum(squared, 0.0) / blocks.count))
     return weights
 
 

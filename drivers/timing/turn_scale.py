@@ -17,18 +17,13 @@ import numpy as np
 
 from ..messages import Floats
 from .motion_pairs import ERROR_PROBABILITY, MIN_PAIRS, covered_pairs, jackknife_sigma, leave_one_out
+from .robust_weights import WEIGHT_ITERATIONS, robust_weights
 from .student import upper_limit
 from .turns import MAX_ROTATION_SIGMA, Run
 
 # Factor by which the scale differs from an expected one at most, or its inverse.
 # Origin: chosen, well beyond calibration errors, and far below the ratio of units.
 MAX_FACTOR = 2.0
-# Typical errors of a pair from which on its weight falls. Origin: chosen, usual for robust weights.
-ROBUST_SIGMAS = 3.0
-# Times that the weights are computed. Origin: numerical.
-WEIGHT_ITERATIONS = 10
-# Radians, least typical error of a pair. Origin: numerical.
-MIN_ERROR = 1e-5
 
 
 @dataclass(frozen=True)
@@ -71,8 +66,7 @@ def estimate_turn_scale(runs: Sequence[Run], stamps: Floats, angles: Floats, max
         for _ in range(WEIGHT_ITERATIONS):
             normal, right = _normal_equations(rows, weights)
             found, bias = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
-            errors = np.abs(rows[:, 2] - found * rows[:, 0] - bias * rows[:, 1])
-            weights = 1.0 / (1.0 + (errors / (ROBUST_SIGMAS * max(float(np.median(errors)), MIN_ERROR))) ** 2)
+            weights = robust_weights(np.abs(rows[:, 2] - found * rows[:, 0] - bias * rows[:, 1]))
         (found, _), without_one = leave_one_out(*_normal_equations(rows, weights))
     except np.linalg.LinAlgError:  # nothing turned
         return None
