@@ -98,10 +98,8 @@ def _refine_or_match(
     result.mapper.recompute_pose_covariances()
     if state.plan is not None and state.plan.recognised:
         state.plan.settle(result.mapper, state.local_field)
-    keyframes = {k: journal.scans[row] for k, row in enumerate(history.keyframes.tolist())}
-    state.replace_map(
-        result.mapper, result.trajectory, PoseFix(result.poses[-1], journal.scans[-1].odometry), keyframes
-    )
+    fix = PoseFix(result.poses[-1], journal.scans[-1].odometry)
+    state.replace_map(result.mapper, result.trajectory, fix, history.keyframe_scans)
     publisher.publish_map(stamp, state.mapper)
     return {"refinement": result.summary}
 

@@ -53,7 +53,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     before, history = slam_state.mapper, session.scan_history()
     publisher.publish_map(float(history.stamps[0]), before, index=0)
     refined = refine(before, history, slam_state.odometry_model)
-    keyframes = {k: session.scans[row] for k, row in enumerate(history.keyframes.tolist())}
+    keyframes = history.keyframe_scans
     refined.mapper.recompute_pose_covariances()
     last = session.scans[-1]
     slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.odometry), keyframes)

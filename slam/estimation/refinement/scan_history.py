@@ -85,6 +85,11 @@ class ScanHistory:
         return ScanSequence.of(self.scans).has_features
 
     @property
+    def keyframe_scans(self) -> dict[int, ProcessedScan]:
+        """Scans of the keyframes, by the number of the keyframe."""
+        return {k: self.scans[row] for k, row in enumerate(self.keyframes.tolist())}
+
+    @property
     def sweep_covariances(self) -> Floats:
         """Sweep covariances (k, 3, 3) of the keyframes, see `ScanFeatures`."""
         return np.array([self.scans[row].features.sweep_covariance for row in self.keyframes.tolist()])

@@ -75,8 +75,8 @@ def correct_session(session: StoredSession, path: Trajectory, corrections: Seque
     state.trajectory = match_trajectory(mapper, history, state.odometry_model)
     mapper.recompute_pose_covariances()
     last = session.scan_history().scan_poses(mapper.keyframe_poses)[-1]
-    keyframes = {k: session.scans[row] for k, row in enumerate(history.keyframes.tolist())}
-    state.replace_map(mapper, state.trajectory, PoseFix(last, session.scans[-1].odometry), keyframes)
+    fix = PoseFix(last, session.scans[-1].odometry)
+    state.replace_map(mapper, state.trajectory, fix, history.keyframe_scans)
     return CorrectedSession(summarise_session(session, {}, Publisher(())), session, outcomes, loops.decided)
 
 

@@ -65,7 +65,7 @@ def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[Pl
         stamps,
         _transfer_checkpoint(state, other, mapper, kidnapped),
         LoopAgreementState(last_search=mapper.travelled[-1]),
-        {k: scans[row] for k, row in enumerate(history.keyframes.tolist())},
+        history.keyframe_scans,
     )
     return StoredSession(
         config=first.config,
