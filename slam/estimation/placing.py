@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.nearest_pose import relative_to_nearest
 from ..localisation.match_target import MatchTarget
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..preprocessing.preprocessor import ProcessedScan
@@ -23,7 +23,7 @@ def place(state: SlamState, pose: se2.Pose, scan: ProcessedScan) -> bool:
 
     Returns False if the scan does not fit near it; the state must not be used any more then.
     """
-    keyframe, relative = _relative_to_nearest(state.mapper.keyframe_poses, pose)
+    keyframe, relative = relative_to_nearest(state.mapper.keyframe_poses, pose)
     covariance = np.diag(INITIAL_POSE_SIGMAS**2)
     state.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
     state.local_field.clear()
@@ -53,13 +53,7 @@ def relocalise(state: SlamState, joined: SlamState, odometry: se2.Pose) -> None:
     rows = joined.trajectory.relative_poses()
     for stamp, keyframe, relative, information in list(zip(*rows, strict=True))[len(state.trajectory) :]:
         if known[keyframe]:
-            nearest, pose = _relative_to_nearest(old_poses, se2.compose(poses[keyframe], relative))
+            nearest, pose = relative_to_nearest(old_poses, se2.compose(poses[keyframe], relative))
             state.trajectory.add(float(stamp), nearest, pose, information)
-    nearest, pose = _relative_to_nearest(old_poses, joined.pose)
+    nearest, pose = relative_to_nearest(old_poses, joined.pose)
     state.move_to(se2.compose(state.mapper.keyframe_poses[nearest], pose), odometry)
-
-
-def _relative_to_nearest(poses: Floats, pose: se2.Pose) -> tuple[int, se2.Pose]:
-    """Return the row of the nearest of some `poses` (n, 3) to a pose, and this pose in the frame of the nearest."""
-    nearest = int(np.hypot(*(poses[:, :2] - pose[:2]).T).argmin())
-    return nearest, se2.between(poses[nearest], pose)

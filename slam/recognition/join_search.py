@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ..geometry.nearest_pose import relative_to_nearest
 from ..geometry.segments import Integers
 from ..localisation.local_field import LocalField
 from ..loop_closure.agreement import LoopAgreement
@@ -150,7 +151,6 @@ def _decide(look: Look, mapper: Mapper, location: Location, old: Integers, since
 
 def _match(mapper: Mapper, member: PlacedSubmap, old: Integers) -> LoopMatch:
     """Return the match of a submap with the nearest of the keyframes `old` (n,)."""
-    last, poses = member.keyframes[-1], mapper.keyframe_poses
-    nearest = int(old[np.hypot(*(poses[old, :2] - member.pose[:2]).T).argmin()])
-    relative = se2.between(poses[nearest], member.pose)
-    return LoopMatch(last, nearest, relative, member.covariance, mapper.travelled[last], member.fit, member.known)
+    last = member.keyframes[-1]
+    row, relative = relative_to_nearest(mapper.keyframe_poses[old], member.pose)
+    return LoopMatch(last, int(old[row]), relative, member.covariance, mapper.travelled[last], member.fit, member.known)

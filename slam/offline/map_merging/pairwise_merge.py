@@ -16,6 +16,7 @@ from ...estimation.refinement.iteration import motion_to_keyframe
 from ...estimation.refinement.scan_history import ScanHistory
 from ...estimation.slam_state import SlamState
 from ...estimation.tracking_checkpoint import TrackingCheckpoint
+from ...geometry.nearest_pose import relative_to_nearest
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
 from ...localisation.local_field import MAX_PATH, LocalFieldState
@@ -119,8 +120,7 @@ def _match_of(member: PlacedSubmap, first: Mapper) -> tuple[int, int, se2.Pose, 
     Returns the numbers of both keyframes in the merged map, the pose of the second in the frame of the first, and its
     covariance (3, 3).
     """
-    nearest = int(np.hypot(*(first.keyframe_poses[:, :2] - member.pose[:2]).T).argmin())
-    relative = se2.between(first.keyframe_poses[nearest], member.pose)
+    nearest, relative = relative_to_nearest(first.keyframe_poses, member.pose)
     return nearest, member.keyframes[-1] + first.keyframe_count, relative, member.covariance
 
 
