@@ -79,6 +79,11 @@ class MappedRecording:
         return self.finished.poses
 
     @property
+    def trajectory(self) -> Trajectory:
+        """Path with its stamps."""
+        return Trajectory(self.stamps, self.path)
+
+    @property
     def keyframes(self) -> Keyframes:
         """Stamps (k,) and poses (k, 3) of the keyframes, with covariances (k, 3, 3) in each pose's own frame."""
         return Keyframes.of(self.finished)
@@ -110,7 +115,7 @@ class MappedRecording:
         from .io.exports import OccupancyGrid, place_scans
 
         grid = OccupancyGrid(resolution)
-        grid.add_all(place_scans(self.source, Trajectory(self.stamps, self.path), self.slam.config))
+        grid.add_all(place_scans(self.source, self.trajectory, self.slam.config))
         return grid.occupancy()
 
     def factor_graph(self) -> tuple[Any, Any]:
@@ -132,8 +137,7 @@ class MappedRecording:
     def svg(self, measurements: Sequence[Measurement] = ()) -> str:
         """Return a drawing of map and path in the scale 1 : 100, with dimension lines of measurements, as SVG."""
         summary = {"recording": self.name, "slam": self.summary}
-        trajectory = Trajectory(self.stamps, self.path)
-        results = RunResults(Path(), self.walls, self.corners, trajectory, summary, self.keyframes)
+        results = RunResults(Path(), self.walls, self.corners, self.trajectory, summary, self.keyframes)
         return svg_text(results, MeasuredMap(measurements))
 
     def _repr_svg_(self) -> str:
@@ -148,7 +152,7 @@ class MappedRecording:
         rows = {
             "recording": self.name,
             "map": self._sizes,
-            "path": f"{_length(self.path):.1f} m in {self.stamps[-1] - self.stamps[0]:.0f} s",
+            "path": f"{self.trajectory.length:.1f} m in {self.stamps[-1] - self.stamps[0]:.0f} s",
             "loops closed": str(loops["accepted"]),
             "suspects": "; ".join(one["text"] for one in suspects) or "none",
         }
@@ -158,7 +162,7 @@ class MappedRecording:
         return f'<table>{cells}</table><img src="data:image/svg+xml;base64,{picture}" style="max-width: 100%">'
 
     def __repr__(self) -> str:
-        return f"<{self.name}: {self._sizes}, {_length(self.path):.1f} m driven>"
+        return f"<{self.name}: {self._sizes}, {self.trajectory.length:.1f} m driven>"
 
     @property
     def _sizes(self) -> str:
@@ -217,7 +221,3 @@ def _aligned(finished: Finished, truth: Sequence[GroundTruth]) -> Trajectory | N
     except MapError:
         return None
     return Trajectory(reference.stamps, se2.compose(se2.inverse(score.alignment), reference.poses))
-
-
-def _length(path: Floats) -> float:
-    return float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())

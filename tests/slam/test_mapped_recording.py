@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from base64 import b64decode
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -78,6 +79,14 @@ def test_it_plots_into_a_file(mapped: slam.MappedRecording, tmp_path: Path) -> N
     mapped.plot(tmp_path / "map.png")
     with Image.open(tmp_path / "map.png") as picture:
         assert min(picture.size) > 300
+
+
+def test_a_robot_that_stands_has_driven_nothing(mapped: slam.MappedRecording) -> None:
+    """Its estimated position jitters."""
+    jitter = np.random.default_rng(0).normal(0.0, 0.002, mapped.path.shape)
+    standing = replace(mapped, finished=replace(mapped.finished, poses=jitter))
+    assert repr(standing).endswith(" 0.0 m driven>")
+    assert "<td>0.0 m in" in standing._repr_html_()
 
 
 def test_own_factors_can_be_added_to_a_copy_of_the_graph(mapped: slam.MappedRecording) -> None:
