@@ -10,6 +10,7 @@ from drivers import se2
 from drivers.elapsed import elapsed
 
 from ..geometry.degeneracy import weakest_direction
+from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats
 from ..loop_closure.submap_search import DISTINCT_SHIFT
 from ..mapping.mapper import Mapper
@@ -124,7 +125,7 @@ def unmatched_stretches(
             continue
         # without the correlated drift, which a closed loop does not reduce
         covariance = mapper.graph.relative_covariance(before, after)
-        sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+        sigma = position_sigma(covariance)
         if sigma > MAX_BLIND_SIGMA:
             turn = float(np.degrees(np.sqrt(covariance[2, 2])))
             text = (
@@ -167,8 +168,8 @@ def _listed(times: Sequence[str]) -> str:
 def _largest_deviations(mapper: Mapper, firsts: Sequence[int]) -> tuple[float, float]:
     """Return the largest standard deviations (metres, radians) of keyframes relative to those before them."""
     covariances = [mapper.covariances.relative(first - 1, first) for first in firsts]
-    positions = [float(np.linalg.eigvalsh(covariance[:2, :2])[-1]) for covariance in covariances]
-    return float(np.sqrt(max(positions))), float(np.sqrt(max(covariance[2, 2] for covariance in covariances)))
+    position = max(position_sigma(covariance) for covariance in covariances)
+    return position, float(np.sqrt(max(covariance[2, 2] for covariance in covariances)))
 
 
 def _corrected_path(odometry: Floats, model: OdometryModel) -> Floats:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..localisation.prediction_error import PREDICTION_SIGMAS
@@ -80,8 +81,7 @@ def _is_elsewhere(state: SlamState, match: PointMatch) -> bool:
 
 def _is_well_known(covariance: Floats) -> bool:
     """Return True if scans of two keyframes can be matched, given the covariance (3, 3) of their relative pose."""
-    position = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-    return position < MAX_LINK_SIGMA and bool(np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA)
+    return position_sigma(covariance) < MAX_LINK_SIGMA and bool(np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA)
 
 
 def undetermined_share(tracking: TrackingResult) -> float:

@@ -15,6 +15,14 @@ def covariance_after(covariance: Floats, motion: se2.Pose) -> Floats:
     return np.asarray(adjoint @ covariance @ adjoint.T)
 
 
+def position_sigma(covariance: Floats) -> float:
+    """Return the standard deviation (metres) of a position in its least certain direction.
+
+    covariance  (3, 3) of the pose
+    """
+    return float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+
+
 def squared_distance(pose: se2.Pose, other: se2.Pose, covariance: Floats) -> float:
     """Return the squared Mahalanobis distance of a pose from another one: that of the twist between them.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.pose_covariance import position_sigma
 from ..matching.offset_tiles import MAX_DISTANCE
 from .decision import Check, LoopDecision
 from .look import SEARCH_INTERVAL, Look
@@ -45,7 +46,7 @@ def fits(match: SubmapMatch) -> bool:
 
 def is_determined(match: SubmapMatch) -> bool:
     """Return True if a match determines the position in every direction."""
-    return bool(np.linalg.eigvalsh(match.covariance[:2, :2])[-1] < MAX_MATCH_SIGMA**2)
+    return position_sigma(match.covariance) < MAX_MATCH_SIGMA
 
 
 def admits_closure(look: Look, old: int, relative: se2.Pose) -> bool:

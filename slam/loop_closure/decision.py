@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from drivers import se2
 
+from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats
 from .loop_status import LoopStatus
 
@@ -108,4 +107,4 @@ class LoopDecision:
     @property
     def sigma(self) -> float:
         """Standard deviation of the last match in its least certain direction, metres."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.matches[-1].covariance[:2, :2])[-1]))
+        return position_sigma(self.matches[-1].covariance)

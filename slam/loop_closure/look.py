@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.pose_covariance import covariance_after, squared_distance
+from ..geometry.pose_covariance import covariance_after, position_sigma, squared_distance
 from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import REFERENCE_DISTANCE, LocalField
 from ..mapping.mapper import Mapper
@@ -243,9 +243,9 @@ class Look:
         match = improve(self.submap, self.old_submap(old), start)
         if self._field.is_undetermined(since, self.last):
             covariance = self._mapper.covariances.relative(since, self.last)
-            sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+            reach = SEARCH_DEVIATIONS * position_sigma(covariance)
             turn = SEARCH_DEVIATIONS * float(np.sqrt(covariance[2, 2]))
-            found = search_submap(self.submap, self.old_submap(old), start, SEARCH_DEVIATIONS * sigma, turn)
+            found = search_submap(self.submap, self.old_submap(old), start, reach, turn)
             distances = [squared_distance(start, m.pose, covariance + m.covariance) for m in found]
             within = [m for m, squared in zip(found, distances, strict=True) if squared < MAX_SQUARED_DISTANCE]
             match = max([match, *within], key=lambda m: m.score)

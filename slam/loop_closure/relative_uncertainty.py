@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats, Integers
 from ..mapping.mapper import Mapper
 from .submap_search import SUBMAP_LENGTH
@@ -74,7 +75,7 @@ class RelativeUncertainty:
 
     def deviation(self, old: int) -> float:
         """Return the largest standard deviation (metres) of the position relative to an old keyframe."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance(old)[:2, :2])[-1]))
+        return position_sigma(self.covariance(old))
 
     def search_radius(self, old: int) -> float:
         """Return the metres by which the position relative to an old keyframe may be wrong."""

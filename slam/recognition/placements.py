@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.pose_covariance import squared_distance
+from ..geometry.pose_covariance import position_sigma, squared_distance
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
@@ -126,7 +126,7 @@ def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> P
     predicted = {first: (pose, np.diag(ALIGNMENT_SIGMAS**2))}
     placed: set[int] = set()
     while predicted:
-        row = min(predicted, key=lambda k: _size(predicted[k][1]))
+        row = min(predicted, key=lambda k: position_sigma(predicted[k][1]))
         pose, covariance = predicted.pop(row)
         prediction, points = Prediction(pose, np.linalg.inv(covariance)), new.submaps[row].points.points
         if row == first:
@@ -142,14 +142,9 @@ def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> P
             relative, drift = new.relations[row, other]
             adjoint = se2.adjoint(se2.inverse(relative))
             covariance = adjoint @ refined @ adjoint.T + drift
-            if other not in predicted or _size(covariance) < _size(predicted[other][1]):
+            if other not in predicted or position_sigma(covariance) < position_sigma(predicted[other][1]):
                 predicted[other] = se2.compose(match.pose, relative), covariance
     return Placement(poses, informations)
-
-
-def _size(covariance: Floats) -> float:
-    """Return the variance of a position in its least certain direction."""
-    return float(np.linalg.eigvalsh(covariance[:2, :2])[-1])
 
 
 def matched_walls(new: ScannedDrive, old: ScannedMap, submap: int, pose: se2.Pose) -> Integers:
