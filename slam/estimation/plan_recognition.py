@@ -97,12 +97,12 @@ class PlanRecognition:
             aligned = self._align(mapper, recent, self._start, self._start_covariance)
             if aligned is not None:
                 return aligned
-        first = _begin_of_last_run(mapper) if last_supported is None else last_supported + 1
+        first = mapper.landmarks.parts.last_run_first if last_supported is None else last_supported + 1
         return self.find(mapper, local_field, last_supported) if self._drive.is_due(mapper, first) else None
 
     def find(self, mapper: Mapper, local_field: LocalField, last_supported: int | None = None) -> PlacedMap | None:
         """Search for the drive up to now; arguments and result are those of `search`."""
-        first, near = _begin_of_last_run(mapper), None
+        first, near = mapper.landmarks.parts.last_run_first, None
         if last_supported is not None:
             covariance = _pose_covariance(mapper, last_supported) + np.diag(UNMODELLED_SIGMAS**2)
             first, near = last_supported + 1, Uncertainty(covariance)
@@ -132,12 +132,6 @@ class PlanRecognition:
         near = error @ np.linalg.solve(start_covariance, error) < MAX_SQUARED_DISTANCE
         fits = alignment.length >= MIN_WALLS_ON_PLAN * float(alignment.observed.sum())
         return PlacedMap(motion, keyframe, np.asarray(covariance)) if near and fits else None
-
-
-def _begin_of_last_run(mapper: Mapper) -> int:
-    """Return the keyframe with which the last unbroken run of keyframes in the connected part of the map begins."""
-    connected = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count))
-    return 0 if connected.all() else int(np.flatnonzero(~connected)[-1]) + 1
 
 
 def _scan_plan(plan_map: PlanMap, index: MapIndex) -> ScannedMap:

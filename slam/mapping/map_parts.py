@@ -106,6 +106,12 @@ class MapParts:
         return self.firsts[self.groups[-1]]
 
     @property
+    def last_run_first(self) -> int:
+        """First keyframe of the last parts in a row that are in the group of the last part."""
+        others = [part for part in range(len(self)) if self.groups[part] != self.groups[-1]]
+        return self.firsts[others[-1] + 1] if others else 0
+
+    @property
     def apart(self) -> list[int]:
         """Numbers of the groups that are not connected with the first part."""
         return sorted({group for group in self.groups if group})

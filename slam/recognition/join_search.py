@@ -109,7 +109,7 @@ class JoinSearch:
         groups     (k,) number of the group of parts of each keyframe
         connected  (k,) keyframes of the last part
         """
-        first = int(np.flatnonzero(~connected)[-1]) + 1
+        first = mapper.landmarks.parts.last_run_first
         if not self._drive.is_due(mapper, first):
             return None
         drive, found = self._drive.take(mapper, local_field, first), dict[int, Location]()

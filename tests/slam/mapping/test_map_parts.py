@@ -31,6 +31,7 @@ def test_parts_are_not_connected_before_they_are_joined() -> None:
     assert parts.apart == [1, 2]
     parts.join(5, 25)
     np.testing.assert_array_equal(parts.connected(KEYFRAMES), (KEYFRAMES < 10) | (KEYFRAMES >= 20))
+    assert (parts.current_first, parts.last_run_first) == (0, 20)
     assert parts.apart == [1]
     assert not parts.current_is_apart
 
@@ -39,9 +40,10 @@ def test_joins_are_transitive() -> None:
     parts = three_parts()
     parts.join(25, 15)
     assert parts.current_is_apart
-    assert parts.current_first == 10
+    assert (parts.current_first, parts.last_run_first) == (10, 10)
     parts.join(12, 3)
     assert parts.connected(KEYFRAMES).all()
+    assert parts.last_run_first == 0
 
 
 def test_motions_that_odometry_measured_and_joins_make_parts_reachable() -> None:
