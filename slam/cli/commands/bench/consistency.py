@@ -9,7 +9,7 @@ import typer
 
 from ...compilation import compile_all
 from ...console import print_message, progress
-from .output import JsonOption, check_conditions, heading, provenance
+from .output import FirstSeedOption, JsonOption, check_conditions, condition_option, heading, provenance
 
 NAMES = (
     "nominal, range-noise-5mm, range-noise-3cm, half-circle, range-bias, bent-walls, spin-2hz, bad-wheels, "
@@ -19,11 +19,8 @@ NAMES = (
 
 
 def bench_consistency(
-    conditions: Annotated[
-        list[str] | None,
-        typer.Option("--condition", metavar="NAME", help=f"Condition, can be repeated; by default all: {NAMES}."),
-    ] = None,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive.")] = 0,
+    conditions: Annotated[list[str] | None, condition_option(NAMES)] = None,
+    first_seed: FirstSeedOption = 0,
     seeds: Annotated[
         int, typer.Option("--seeds", "--runs", min=1, help="Number of drives per condition, each with its own noise.")
     ] = 5,

@@ -10,7 +10,7 @@ import typer
 
 from ...compilation import compile_all
 from ...console import progress
-from .output import JsonOption, check_conditions, heading, provenance
+from .output import JsonOption, check_conditions, condition_option, heading, provenance
 
 NAMES = (
     "unchanged, moved-2cm, moved-5cm, moved-10cm, moved-20cm, added, closed-doors, shifted-5cm, shifted-10cm, "
@@ -19,10 +19,7 @@ NAMES = (
 
 
 def bench_diff(
-    conditions: Annotated[
-        list[str] | None,
-        typer.Option("--condition", metavar="NAME", help=f"Condition, can be repeated; by default all: {NAMES}."),
-    ] = None,
+    conditions: Annotated[list[str] | None, condition_option(NAMES)] = None,
     first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first pair.")] = 0,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Number of pairs of drives per condition.")] = 3,
     duration: Annotated[float, typer.Option("--duration", min=1.0, help="Duration of each drive in seconds.")] = 100.0,

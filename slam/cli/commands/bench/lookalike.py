@@ -11,7 +11,7 @@ import typer
 
 from ...compilation import compile_all
 from ...console import print_message, progress
-from .output import JsonOption, check_conditions
+from .output import FirstSeedOption, JsonOption, check_conditions
 
 if TYPE_CHECKING:
     from ....evaluation.benchmarks.lookalike import LookalikeRun, LoopStatistics
@@ -33,7 +33,7 @@ def bench_lookalike(
             help=f"World, or variant in which the worlds are driven; can be repeated. Worlds, by default all: {NAMES}.",
         ),
     ] = None,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive.")] = 0,
+    first_seed: FirstSeedOption = 0,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Number of drives per world and variant.")] = 20,
     processes: Annotated[int, typer.Option("--processes", min=1, help="Number of processes.")] = 2,
     as_json: JsonOption = False,

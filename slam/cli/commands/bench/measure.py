@@ -10,16 +10,14 @@ import typer
 
 from ...compilation import compile_all
 from ...console import progress
-from .output import JsonOption, heading, provenance
+from .output import DurationOption, FirstSeedOption, JsonOption, heading, provenance
 
 
 def bench_measure(
     world: Annotated[str, typer.Option("--world", metavar="NAME", help="Built-in world, or a TOML file.")] = "office",
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive.")] = 0,
+    first_seed: FirstSeedOption = 0,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Number of drives, each with its own noise.")] = 20,
-    duration: Annotated[
-        float | None, typer.Option("--duration", min=1.0, help="Duration of each drive in seconds; by default all.")
-    ] = None,
+    duration: DurationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare measurements of simulated drives with the truth: 95 % should be within 1.96 standard deviations.

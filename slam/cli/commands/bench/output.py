@@ -15,6 +15,15 @@ JsonFileOption = Annotated[Path | None, typer.Option("--json", metavar="FILE.jso
 TablesOption = Annotated[
     Path | None, typer.Option("--out", metavar="DIR", help="Output directory for tables and pictures.")
 ]
+FirstSeedOption = Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive.")]
+DurationOption = Annotated[
+    float | None, typer.Option("--duration", min=1.0, help="Duration of each drive in seconds; by default all.")
+]
+
+
+def condition_option(names: str) -> Any:
+    """Return the option that chooses some conditions, of which all `names` are listed in its help."""
+    return typer.Option("--condition", metavar="NAME", help=f"Condition, can be repeated; by default all: {names}.")
 
 
 def check_conditions(names: Iterable[str] | None, known: Collection[str], kind: str = "condition") -> tuple[str, ...]:

@@ -10,21 +10,16 @@ import typer
 
 from ...compilation import compile_all
 from ...console import progress
-from .output import JsonOption, check_conditions, heading, provenance
+from .output import DurationOption, FirstSeedOption, JsonOption, check_conditions, condition_option, heading, provenance
 
 NAMES = "right, wrong-walls, large-loop"
 
 
 def bench_plan(
-    conditions: Annotated[
-        list[str] | None,
-        typer.Option("--condition", metavar="NAME", help=f"Condition, can be repeated; by default all: {NAMES}."),
-    ] = None,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive.")] = 0,
+    conditions: Annotated[list[str] | None, condition_option(NAMES)] = None,
+    first_seed: FirstSeedOption = 0,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Number of drives per condition.")] = 5,
-    duration: Annotated[
-        float | None, typer.Option("--duration", min=1.0, help="Duration of each drive in seconds; by default all.")
-    ] = None,
+    duration: DurationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Map simulated drives with a plan, right or wrong, from an unknown start, and compare with the truth.

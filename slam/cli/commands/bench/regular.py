@@ -11,7 +11,7 @@ import typer
 
 from ...compilation import compile_all
 from ...console import progress
-from .output import JsonOption, heading, provenance
+from .output import DurationOption, FirstSeedOption, JsonOption, heading, provenance
 
 
 def bench_regular(
@@ -26,11 +26,9 @@ def bench_regular(
             help="Angle by which some walls are turned, can be repeated; by default 0 and 1.",
         ),
     ] = None,
-    first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive.")] = 0,
+    first_seed: FirstSeedOption = 0,
     seeds: Annotated[int, typer.Option("--seeds", min=1, help="Number of drives for each angle.")] = 10,
-    duration: Annotated[
-        float | None, typer.Option("--duration", min=1.0, help="Duration of each drive in seconds; by default all.")
-    ] = None,
+    duration: DurationOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Impose right angles and parallels on maps of simulated drives, with walls that are skewed.
