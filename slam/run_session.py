@@ -85,7 +85,7 @@ class RunSession:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunSnapshot:
-    """Copy of a run that shares nothing with it that changes; may be used in another thread.
+    """Copy of a run, which shares only what no longer changes: it may be used in another thread.
 
     session  estimate, to be stored and continued after `finished`, which connects its parts
     summary  of the run so far, for `Finished.summary`

@@ -34,9 +34,9 @@ from .scan_update import extend_trajectory, track
 from .slam_state import SlamState
 from .stage_timer import StageTimer
 
-# Scans by which those that fit exceed those that do not, or the reverse, when the test ends. Origin: Wald's test, with
-# an error probability of 1e-4: of the scans of five recordings 95 to 99 % fit as odometry predicts, and of scans from
-# elsewhere in the same building 0 to 5 %.
+# Difference between the numbers of scans that fit and of those that do not at which the test ends. Origin: Wald's test,
+# with an error probability of 1e-4: of the scans of five recordings 95 to 99 % fit as odometry predicts, and of scans
+# from elsewhere in the same building 0 to 5 %.
 DECIDING_MARGIN = 3
 # Metres of driving after which the test ends: the map of the earlier part does not extend farther. People may surround
 # the robot for most of this way, so the test is not lost before. Origin: chosen, the reach of usual lidars indoors.

@@ -1,10 +1,10 @@
 """Errors of wall observations that repeat with every view.
 
 A real wall is bent, and has frames and recesses. Segments fitted to it from neighbouring keyframes err alike, so many
-of them know less than as many independent ones. The information of a wall's observations is divided by the long-run
-variance of their whitened residuals in the order of the keyframes (Newey, West 1987), which is one for white noise as
-modelled. Residuals are weighted by the robust kernel, as they are in the estimate, and divided by what this leaves of
-white noise.
+of them contain less information than as many independent ones. The information of a wall's observations is divided by
+the long-run variance of their whitened residuals in the order of the keyframes (Newey, West 1987), which is one for
+white noise as modelled. Residuals are weighted by the robust kernel, as they are in the estimate, and divided by what
+this leaves of white noise.
 
 Equations: docs/mathematics.md#errors-that-repeat.
 """

@@ -1,4 +1,4 @@
-"""Disk space that is held for results, so that a disk that fills up during a run does not cost them."""
+"""Disk space that is reserved for results: they can be written even if the disk fills up during a run."""
 
 from __future__ import annotations
 

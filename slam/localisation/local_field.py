@@ -211,7 +211,7 @@ class LocalField:
         return [(int(self._inserted[row]), self._inserted_poses[row]) for row in chosen]
 
     def nearest_missing(self, poses: Floats, keyframe: int, connected: NDArray[np.bool_]) -> int | None:
-        """Return the keyframe nearest to another one, within REFERENCE_DISTANCE, whose points are not in the field.
+        """Return the nearest keyframe within REFERENCE_DISTANCE of another one whose points are not in the field.
 
         poses      (k, 3) of all keyframes in the map
         connected  (k,) which of them are in a part of the map that is connected with the other one

@@ -22,12 +22,12 @@ PRIOR_SCANS_AFTER_SLIPS, PRIOR_REPEATED_SLIPS = 2, 1
 
 @dataclass(slots=True)
 class SlipStatistics:
-    """Number of tracked scans, and of those before which odometry failed: it slipped, stood still or jumped.
+    """Counts of tracked scans, and of slips: scans before which odometry slipped, stood still or jumped.
 
     scans           tracked scans
-    slips           those before which odometry failed
-    after_slips     tracked scans of which the one before was a slip
-    repeated_slips  slips among these
+    slips           tracked scans before which odometry failed
+    after_slips     tracked scans that follow a slip
+    repeated_slips  slips that follow a slip
     failing         True if the last tracked scan was a slip
     """
 

@@ -12,8 +12,8 @@ from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
 from .trajectory_builder import TrajectoryBuilder
 
-# A reading continues a segment if it follows the last one so soon, and so near to it, that the robot can have driven
-# there: a program was stopped and started again while the base went on counting.
+# A reading continues a segment if the robot can have driven there since the last reading: a program was stopped and
+# started again, while the base went on counting.
 # Seconds since the last reading. Origin: chosen, time to restart a program; not measured.
 MAX_BREAK = 60.0
 # Metres per second. Origin: chosen, faster than indoor robots usually drive; not measured.

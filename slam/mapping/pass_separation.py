@@ -34,8 +34,8 @@ Seen = Mapping[int, frozenset[int]]
 class Pass:
     """Consecutive keyframes that drive through places of earlier ones.
 
-    gap  metres of driving without an observation after which a landmark is seen again, not still; zero if nothing that
-         earlier keyframes have seen is known to be in it
+    gap  metres of driving since the last observation of a landmark from which on the next one is made on a return; zero
+         if each observation of an earlier landmark in the pass is made on a return
     """
 
     keyframes: range

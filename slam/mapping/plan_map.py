@@ -35,8 +35,8 @@ MIN_VISIBLE = 0.3
 # Rays that must meet a face to show it: fewer may pass through a gap of the drawing by chance. Origin: definition, a
 # line.
 MIN_RAYS = 3
-# Seconds: stamp of the last view where views take the place of scans, before any recording and so long before that
-# odometry does not continue them. Origin: definition.
+# Seconds: stamp of the last view of a plan, where views take the place of scans. It is so long before any recording
+# that no odometry continues it. Origin: definition.
 VIEWS_END = -1000.0
 # Metres: standard deviation of the noise that is added to the distances of the points of a view. Without noise, points
 # on a line along the border of grid cells would all be in the cells on one side, which rounding would choose; points of

@@ -1,9 +1,9 @@
 """Detection of walls that are one landmark but two surfaces: stretches on either side of a part that was never seen.
 
-The side of a cabinet and a partition behind it may be parallel and a few centimetres apart. A first look at the second
-one is too uncertain to tell, so both become one landmark, whose many observations make it look certain. When the
-estimate is settled, each observed stretch of such a wall gets a landmark of its own on a copy of the graph. For the
-lines B of two stretches and their joint covariance, that of the difference C,
+The side of a cabinet and a partition behind it may be parallel and a few centimetres apart. When the second one is seen
+first, its place is too uncertain to tell them apart. So both become one landmark, which seems certain by its many
+observations. When the estimate is settled, each observed stretch of such a wall gets a landmark of its own on a copy of
+the graph. For the lines B of two stretches and their joint covariance, that of the difference C,
 
     (B1 - B2)' C^-1 (B1 - B2)
 

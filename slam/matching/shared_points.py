@@ -1,9 +1,9 @@
 """Surfaces that two scans have both seen, and what they contribute to matching one with the other.
 
-A scan is matched with the points of all keyframes around it. Its pose relative to one of them is measured by the
-surfaces that this one has seen. Other surfaces were placed by other keyframes, whose errors relative to it the match
-does not show. Surfaces in space that the reference has seen to be free have moved, as people do who walk beside the
-robot. What they seem to show of its motion is left out.
+A scan is matched with the points of all keyframes around it. Its pose relative to one of them, a reference, is measured
+by the surfaces that the reference has seen. Other surfaces were placed by other keyframes, and the match does not show
+the errors of these relative to the reference. Surfaces in space that the reference has seen to be free have moved, as
+people do who walk beside the robot, so they are left out.
 """
 
 from __future__ import annotations

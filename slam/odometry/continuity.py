@@ -1,7 +1,7 @@
 """Odometry without jumps that no robot can make.
 
-A base that starts again counts from another pose, and a damaged reading may be anywhere. Slips are for tracking, which
-compares odometry with the scans. But a map has no room for a motion of kilometres, and its uncertainty no numbers.
+A base that starts again counts from another pose, and a damaged reading may be anywhere. Tracking, which compares
+odometry with the scans, handles slips. But a motion of kilometres exceeds what a map and its covariances can represent.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from drivers.messages import Odometry
 # Metres, and metres per second, from which a motion between two readings is a jump. Origin: chosen, more than any
 # wheeled robot drives, and less than what a map cannot represent.
 MIN_JUMP, MIN_JUMP_SPEED = 100.0, 100.0
-# Metres from which it is a jump in any time: a pose so far from the last one says nothing. Origin: chosen.
+# Metres from which a motion is a jump however long it took: it says nothing about the robot then. Origin: chosen.
 MAX_UNSEEN = 1000.0
 
 
 class ContinuousOdometry:
-    """Readings that go on from the one before a jump: the motion in it is not known, and taken as none.
+    """Odometry without its jumps: after a jump it goes on from the reading before, as if the robot had stood meanwhile.
 
     jumped  True if the last reading came after a jump
     """

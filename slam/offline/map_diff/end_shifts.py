@@ -23,8 +23,8 @@ from .exact_test import Votes, exact_p_value
 from .movement import Movements, levers
 from .surveys import Survey
 
-# Ends of which the median shows the typical difference; if there are fewer, that of a moved one may be the median.
-# Origin: definition, with two the lower one is that which has not moved.
+# Ends at least whose median is the typical difference: with fewer, the median may be that of an end that has moved.
+# Origin: definition, the smaller one of two is that of an end that has not moved.
 MIN_TYPICAL = 2
 
 
