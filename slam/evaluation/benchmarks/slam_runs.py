@@ -54,7 +54,7 @@ class RunSpec:
 class RunFigures:
     """Figures of one run.
 
-    scored_by            kind of the errors: "relations" or "true path"
+    scored_by        kind of the errors: "relations" or "true path"
     travelled        distance, metres
     error, median    metres: mean over the relations, or RMS over the path; and the median
     rotation         degrees: mean, or RMS
