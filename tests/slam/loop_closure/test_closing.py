@@ -18,7 +18,18 @@ from slam.mapping.keyframes import KeyframeMotion
 from slam.mapping.local_map import empty_local_map
 from slam.mapping.mapper import Mapper
 
-from .rooms import INSIDE, ROOM
+# Room with unequal sides and a niche: frames of the walls, seen from inside, and their half lengths.
+ROOM = np.array(
+    [
+        [3.0, 0.0, 0.0, 3.0],
+        [6.0, 2.0, np.pi / 2, 2.0],
+        [4.5, 4.0, np.pi, 1.5],
+        [3.0, 4.75, np.pi / 2, 0.75],
+        [1.5, 5.5, np.pi, 1.5],
+        [0.0, 2.75, -np.pi / 2, 2.75],
+    ]
+)
+INSIDE = np.array([2.0, 2.0, 0.3])
 
 
 def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, known: list[int] | None) -> list[int]:

@@ -54,7 +54,6 @@ START = 1000.0
 MOUNT = [0.1, 0.0, 0.0]
 """Pose of the lidar on the simulated robot."""
 TIMEOUT = 0.5
-SCANS_BEFORE_CALL = 40
 PATIENCE = 60.0
 """Seconds to wait for the node."""
 
