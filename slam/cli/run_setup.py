@@ -48,7 +48,7 @@ def prepare_run(
     localized: Path | None,
     config: Path | None,
     settings: Sequence[str] | None,
-    start: str | None = None,
+    start: str | None,
     plan: PlanOptions = NO_PLAN,
 ) -> RunSetup:
     """Load the settings, and the session or the plan that `--continue`, `--localize` or `--plan` names.

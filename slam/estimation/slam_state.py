@@ -231,7 +231,7 @@ class SlamState:
         """True if the next keyframe is the first one of a part of the map."""
         return bool(0 < self.mapper.landmarks.parts.firsts[-1] == self.mapper.keyframe_count)
 
-    def move_to_last_keyframe(self, observations: KeyframeObservations | None = None) -> None:
+    def move_to_last_keyframe(self, observations: KeyframeObservations | None) -> None:
         """Set pose, distance field and tracker to the solved pose of the last keyframe.
 
         With its `observations`, also the local map: what is linked with it has changed.

@@ -129,7 +129,7 @@ def write_pictures(directory: Path) -> Iterator[Path]:
             yield directory / file
 
 
-def reduce_palette(path: Path, *, shaded: bool = False) -> None:
+def reduce_palette(path: Path, *, shaded: bool) -> None:
     """Convert a picture to a palette that includes rare colours, or with `shaded` those of the largest areas."""
     from PIL import Image
 

@@ -62,7 +62,7 @@ class RosInput:
         keep: bool,
         control: RunControl,
         modes: ModeSwitch,
-        sinks: Sequence[Sink] = (),
+        sinks: Sequence[Sink],
     ) -> None:
         self.name = f"ROS 2: {', '.join(receiver.inputs.scan_topics)}"
         self.sinks: Sequence[Sink] = (*sinks, outputs)

@@ -131,13 +131,13 @@ def run_queries(
     count: int,
     config: Config,
     *,
-    elsewhere: ScannedMap | None = None,
-    seed: int = 0,
+    elsewhere: ScannedMap | None,
+    seed: int,
 ) -> list[RelocalisationQuery]:
     """Search for `count` random submaps of the second half in the map of the first half.
 
     submap_length  metres travelled per submap
-    elsewhere      map of another building to search instead, where any accepted pose is wrong
+    elsewhere      map of another building to search instead, where any accepted pose is wrong; None for the own one
     """
     queries = []
     for stamp, state in _submaps(split.second_half, submap_length, count, config, seed):

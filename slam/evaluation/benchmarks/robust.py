@@ -254,7 +254,7 @@ def select_jobs(
     recordings: Sequence[RecordedDrive],
     conditions: Sequence[str],
     seeds: Sequence[int],
-    variants: Sequence[str] = (),
+    variants: Sequence[str],
 ) -> list[Job]:
     """Return the jobs of the recordings and of the worlds, with all seeds, whose names are among `conditions`.
 
