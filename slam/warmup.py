@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from drivers import se2
-from drivers.messages import Floats, Odometry, Scan
+from drivers.messages import Odometry, Scan
 from drivers.simulation import warm_up as warm_up_simulation
 from drivers.timing.floor import warm_up as warm_up_floor
 from drivers.timing.scan_matching import warm_up as warm_up_timing
@@ -26,7 +26,7 @@ from .estimation.estimator import Estimator
 from .estimation.map_view import final_result
 from .estimation.refinement import build_scan_history, match_trajectory
 from .estimation.slam_state import SlamState
-from .geometry.segments import CornerPoints, Segments
+from .geometry.segments import CornerPoints, Floats, Segments
 from .io.exports.occupancy import OccupancyGrid
 from .io.exports.scan_placement import PlacedScan
 from .localisation.match_target import MatchTarget

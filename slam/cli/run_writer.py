@@ -17,6 +17,7 @@ from drivers import se2
 from ..errors import MapError, first_line
 from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Finished
+from ..geometry.segments import Floats
 from ..io.output_dir import PICTURE, SESSION
 from ..io.run_results import write_results
 from ..io.tum import Trajectory
@@ -29,7 +30,6 @@ from .run_summary import summarise_run
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
     from ..pipeline import Slam
-    from ..visualisation.plots.style import Floats
 
 Write = Callable[[Path], None]
 """Function that writes results into a directory; it raises OSError."""

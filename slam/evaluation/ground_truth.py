@@ -19,9 +19,10 @@ from drivers.simulation import Simulation, World
 
 from ..config import Config
 from ..events import Finished
+from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners, MapWalls
 from ..pipeline import Slam
-from .nees import Floats, line_nees, point_nees, pose_nees
+from .nees import line_nees, point_nees, pose_nees
 
 MAX_LANDMARK_DISTANCE = 0.15  # metres between a mapped landmark and its true counterpart
 MAX_ANGLE = np.radians(15.0)  # between a mapped and a true wall; the opposite side of a wall differs by 180 degrees

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..errors import MapError
+from ..geometry.segments import Floats
 from ..io.tum import Trajectory, distance_along, read_table
 
-Floats = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 MAX_TIME_DIFFERENCE = 0.01

@@ -16,14 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
 
 from ..errors import MapError
+from ..geometry.segments import Floats
 from ..graph.chi_square import chi_square_quantile
-
-Floats = NDArray[np.float64]
 
 GROSS = 0.999
 """Probability of the chi-square quantile beyond which a single value is a gross error."""

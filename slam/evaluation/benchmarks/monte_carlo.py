@@ -8,7 +8,8 @@ import numpy as np
 
 from features import ESTIMATORS, LineFit, Noise
 from features.conversions import covariance_through, polar_of_uv
-from features.types import Floats
+
+from ...geometry.segments import Floats
 
 TRIALS = 3000
 NOISE = Noise(sigma_range=0.02, sigma_bearing=float(np.radians(0.1)))

@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.se2 import wrap
 
-from .model import Floats
+from ...geometry.segments import Floats
 
 # Metres; for landmarks nearer to the pose the Jacobian of the bearing is limited to its value at this distance.
 # Origin: numerical.

@@ -25,7 +25,8 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import PoseGraphError
-from .model import Edges, Floats, Integers, PoseGraph
+from ...geometry.segments import Floats, Integers
+from .model import Edges, PoseGraph
 from .spanning_tree import place_along_edges
 
 # Number of components of a vertex: three of a pose, two of a landmark. Origin: definition.

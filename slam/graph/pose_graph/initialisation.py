@@ -18,9 +18,10 @@ import numpy as np
 from scipy.sparse import coo_array, csc_array, diags_array
 from scipy.sparse.linalg import splu
 
+from ...geometry.segments import Floats
 from .least_squares import CHOLESKY_LIKE, NormalEquations, variables_of, with_variables
 from .levenberg_marquardt import minimise
-from .model import Flags, Floats, PoseGraph
+from .model import Flags, PoseGraph
 from .spanning_tree import intersect_bearings
 
 # Weight of each pose's present heading relative to the largest weight, so that unmeasured headings are determined.

@@ -14,8 +14,9 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from drivers.se2 import wrap
 
+from ...geometry.segments import Floats, Integers
 from .edge_errors import bearing_errors, motion_errors, position_errors
-from .model import Flags, Floats, Integers, PoseGraph
+from .model import Flags, PoseGraph
 
 # Options of SuperLU: the matrices are symmetric and positive definite, so elimination needs no pivoting.
 # Origin: definition.

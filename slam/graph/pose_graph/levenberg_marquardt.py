@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csc_array
 
+from ...geometry.segments import Floats
 from .least_squares import NormalEquations, edge_chi2
-from .model import Floats, PoseGraph
+from .model import PoseGraph
 
 # Maximum number of steps. Origin: chosen, a safeguard; not measured.
 MAX_STEPS = 100

@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
+from ...geometry.segments import Floats, Integers
+
 Flags = NDArray[np.bool_]
 
 

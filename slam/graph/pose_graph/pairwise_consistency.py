@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from drivers import se2
 
-from .model import Edges, Flags, Floats, Integers, PoseGraph
+from ...geometry.segments import Floats, Integers
+from .model import Edges, Flags, PoseGraph
 
 # Poses along the trajectory within which two loop edges are compared. Origin: measured, on public graphs at least three
 # quarters of the true loops have a consistent one within this; of as many random false loops, one in a hundred.

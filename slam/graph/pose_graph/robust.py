@@ -17,10 +17,11 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtri
 
+from ...geometry.segments import Floats
 from .initialisation import initialise
 from .least_squares import NormalEquations, edge_chi2, edge_errors
 from .levenberg_marquardt import minimise, positive_diagonal
-from .model import Flags, Floats, PoseGraph
+from .model import Flags, PoseGraph
 from .pairwise_consistency import count_consistent_loops, odometry_edges
 from .spanning_tree import components
 

@@ -8,7 +8,8 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 
 from drivers import se2
 
-from .model import Floats, Integers, PoseGraph
+from ...geometry.segments import Floats, Integers
+from .model import PoseGraph
 
 # Metres; a landmark whose bearings do not intersect is placed at this distance along the first one.
 # Origin: chosen, any value serves as an initial estimate; not measured.

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...geometry.segments import Floats
 from ...io.run_results import RunResults
-from .style import BLUE, DOTS_PER_INCH, INK, MUTED, SKY, VERMILLION, Floats, save, style_axes
+from .style import BLUE, DOTS_PER_INCH, INK, MUTED, SKY, VERMILLION, save, style_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from features import Noise
-from features.types import Floats
 
 from ...evaluation.benchmarks.monte_carlo import (
     FIT,
@@ -20,6 +19,7 @@ from ...evaluation.benchmarks.monte_carlo import (
     deviations,
     line_parameters,
 )
+from ...geometry.segments import Floats
 from .style import BLUE, DOTS_PER_INCH, INK, MUTED, ORANGE, SKY, VERMILLION, save, style_axes
 
 if TYPE_CHECKING:

@@ -10,9 +10,10 @@ import numpy as np
 from drivers.path_length import path_length
 
 from ...formatting import counted
+from ...geometry.segments import Floats
 from ...io.exports.svg_drawing import MAX_ELLIPSE
 from ...mapping.map_features import MapCorners, MapWalls
-from .style import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, Floats, ellipses, legend, metric_figure, save
+from .style import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, ellipses, legend, metric_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

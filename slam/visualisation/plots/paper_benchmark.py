@@ -13,6 +13,7 @@ from ...evaluation.benchmarks.paper.numbers import TABLE_1, TABLE_2, THRESHOLD
 from ...evaluation.benchmarks.paper.run import environments
 from ...evaluation.benchmarks.paper.timing import FORMS
 from ...evaluation.benchmarks.paper.uncertainty import CLEAR
+from ...geometry.segments import Floats
 from .style import (
     BLUE,
     DOTS_PER_INCH,
@@ -23,7 +24,6 @@ from .style import (
     ORANGE,
     SKY,
     VERMILLION,
-    Floats,
     add_titles,
     legend,
     metric_figure,

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...geometry.segments import Floats
 from ...graph.pose_graph import Edges, PoseGraph, odometry_edges
-from .style import BLUE, INK, ORANGE, SKY, VERMILLION, Floats, legend, metric_figure, save
+from .style import BLUE, INK, ORANGE, SKY, VERMILLION, legend, metric_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

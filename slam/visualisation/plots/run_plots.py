@@ -12,6 +12,7 @@ from drivers import se2
 from drivers.path_length import path_length
 
 from ...events import LoopDecided, MapUpdated, StateChanged
+from ...geometry.segments import Floats
 from ...io.keyframes_csv import Keyframes
 from ...io.tum import Trajectory
 from .style import (
@@ -23,7 +24,6 @@ from .style import (
     SIGMAS,
     SKY,
     VERMILLION,
-    Floats,
     save,
     style_axes,
 )

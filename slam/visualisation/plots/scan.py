@@ -9,7 +9,8 @@ import numpy as np
 
 from features.types import Features, Lines
 
-from .style import BLUE, FAINT, INK, MUTED, VERMILLION, Floats, ellipses, legend, metric_figure, save
+from ...geometry.segments import Floats
+from .style import BLUE, FAINT, INK, MUTED, VERMILLION, ellipses, legend, metric_figure, save
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...evaluation.metrics import ReferenceScore, RelationsScore
+from ...geometry.segments import Floats
 from .style import (
     BLUE,
     DOTS_PER_INCH,
@@ -15,7 +16,6 @@ from .style import (
     INK,
     MUTED,
     VERMILLION,
-    Floats,
     add_titles,
     legend,
     metric_figure,

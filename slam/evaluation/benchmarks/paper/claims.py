@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from features.types import Floats
-
+from ....geometry.segments import Floats
 from .environments import PAPER_NOISE
 from .numbers import STATED_MEANS, STATED_RATIO, TABLE_1, TABLE_2, TABLE_3, TABLE_4
 from .timing import FORMS, growth

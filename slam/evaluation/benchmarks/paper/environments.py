@@ -14,7 +14,8 @@ from drivers.simulation import World, load_world
 from drivers.simulation.raycast import cast_beams
 from features import Noise, arras_siegwart
 from features.corner import MIN_SINE, intersect
-from features.types import Floats, Integers
+
+from ....geometry.segments import Floats, Integers
 
 PAPER_NOISE = Noise(sigma_range=0.05, sigma_bearing=float(np.radians(0.391 / 2)))
 """Standard deviations that the paper takes from the RPLIDAR S1's data sheet (section V)."""

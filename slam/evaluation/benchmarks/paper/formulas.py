@@ -14,7 +14,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from features import Noise
-from features.types import Floats
+
+from ....geometry.segments import Floats
 
 
 class Line(NamedTuple):

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from features.types import Floats
-
+from ....geometry.segments import Floats
 from . import timing, tracking, uncertainty
 from .environments import PAPER_NOISE, Environment, environment_a, environment_b
 from .numbers import TABLE_1, TABLE_2, TABLE_3, TABLE_4

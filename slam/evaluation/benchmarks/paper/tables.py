@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from features.types import Floats
-
+from ....geometry.segments import Floats
 from .claims import Claim
 from .run import PRINTED, TIMED
 from .timing import FORMS

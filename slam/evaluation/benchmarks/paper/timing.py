@@ -24,8 +24,8 @@ from features.arras_siegwart import (
 from features.corner import intersect
 from features.estimators import SIADAT, WCLM, fit_by_code
 from features.line_fit import ray_arrays
-from features.types import Floats
 
+from ....geometry.segments import Floats
 from . import formulas
 from .environments import PAPER_NOISE, Environment
 from .formulas import Corner, Fit

@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 
 from features import Extractor, Features, Noise
-from features.types import Integers
 
+from ....geometry.segments import Integers
 from .environments import PAPER_NOISE, Environment
 
 RANGE_SIGMAS = (0.001, 0.002, 0.005, 0.007, 0.010, 0.020, 0.050)

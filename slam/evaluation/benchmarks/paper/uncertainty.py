@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from features import ESTIMATORS
-from features.types import Floats
 
+from ....geometry.segments import Floats
 from . import formulas
 from .environments import PAPER_NOISE, Environment
 from .formulas import Corner, Fit
