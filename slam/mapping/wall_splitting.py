@@ -25,15 +25,16 @@ from drivers import se2
 from ..geometry.segments import Floats
 from ..graph.factor_graph import CLOSING_UPDATES, FactorGraph
 from ..graph.wall_segments import WallSegment, wall_segments
+from .data_association import ASSOCIATION_GATE
 from .keyframes import LandmarkIds
 from .landmarks import Landmarks
 from .unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .wall_cells import WALL_CELL
 from .wall_roughness import add_roughness
 
-# Squared Mahalanobis distance between two stretches that may be one wall: the same test as for a new observation.
-# Origin: chi-square, 2 dof, 99.9 %.
-SPLIT_GATE = 13.8
+# Squared Mahalanobis distance between two stretches that may be one wall. Origin: definition, the same test as for
+# a new observation.
+SPLIT_GATE = ASSOCIATION_GATE
 # The same with the poses held fixed, above which a wall is tried. It is a lower bound of the former, as separate
 # stretches would move the poses, too. Origin: chosen, a quarter, as the poses rest on other walls; not measured.
 CANDIDATE_GATE = 0.25 * SPLIT_GATE

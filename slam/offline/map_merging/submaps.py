@@ -10,21 +10,19 @@ import numpy as np
 
 from ...estimation.refinement.landmark_recount import recompute_covariances, recount_observations
 from ...estimation.refinement.scan_history import ScanHistory
+from ...loop_closure.submap_search import SUBMAP_LENGTH
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.mapper import Mapper
 from ...mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from ...recognition.map_descriptor import MapDescriptor, describe_map
 
-SUBMAP_DISTANCE = 6.0
-"""Travelled distance of a submap, metres."""
-
 
 def split_into_submaps(mapper: Mapper, history: ScanHistory) -> Iterator[tuple[range, MapDescriptor]]:
-    """Yield the keyframes of submaps of SUBMAP_DISTANCE each, consecutive and without overlap, and their landmarks.
+    """Yield the keyframes of consecutive submaps of SUBMAP_LENGTH metres each, without overlap, and their landmarks.
 
     The landmarks are in the frame of the session's map.
     """
-    index = np.floor(np.array(mapper.travelled) / SUBMAP_DISTANCE).astype(int)
+    index = np.floor(np.array(mapper.travelled) / SUBMAP_LENGTH).astype(int)
     starts = np.flatnonzero(np.diff(index, prepend=-1))
     for first, end in zip(starts, [*starts[1:], len(index)], strict=True):
         keyframes = range(int(first), int(end))
