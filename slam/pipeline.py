@@ -133,7 +133,11 @@ class Slam:
     def _process_scan(self, scan: ScanPair) -> None:
         """De-skew a scan, extract features, track the pose, update the map, and publish the results."""
         timer = StageTimer()
-        processed = self._preprocessor.process(scan, self.slam_state.odometry_model)
+        tracker = self._estimator.state.tracker
+        if not self._preprocessor.is_measured(scan):
+            tracker.stop_odometry()
+        velocity = tracker.velocity if tracker.odometry_fails else None
+        processed = self._preprocessor.process(scan, self.slam_state.odometry_model, velocity)
         timer.lap("features")
         self._journal.add(processed)
         before = self._estimator.state.matched_pose if self._motions.learns else None

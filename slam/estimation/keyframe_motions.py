@@ -39,10 +39,14 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
         state.kidnapped_keyframes.append(state.mapper.keyframe_count)
         motion = registered
     else:
-        learn_motion(state, odometry, tracking)
+        if not state.tracker.odometry_fails:
+            learn_motion(state, odometry, tracking)
         motion = model.correct(measured)
         covariance = model.covariance(motion)
-        if state.slipped:  # odometry is wrong by as much as registration says
+        if state.tracker.odometry_fails:
+            motion, model = registered, state.unmeasured_model
+            covariance = model.covariance(motion)
+        elif state.slipped:  # odometry is wrong by as much as registration says
             error = se2.between(motion, registered)
             covariance = covariance + np.diag(error**2)
         correlated_drift = model.correlated_drift(motion, registration.total_information)

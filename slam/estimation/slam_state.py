@@ -27,7 +27,7 @@ from ..mapping.keyframes import KeyframeObservations
 from ..mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, empty_local_map
 from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
-from ..odometry.predicted_motion import motion_model
+from ..odometry.predicted_motion import PredictedMotionModel, motion_model
 from ..preprocessing.preprocessor import ProcessedScan
 from ..recognition.join_search import JoinSearch
 from ..recognition.location import LOST, Expectation
@@ -45,6 +45,7 @@ class SlamState:
     mapper               graph, landmarks and keyframes
     trajectory           poses of all tracked scans, relative to keyframes
     odometry_model       learned errors of the odometry
+    unmeasured_model     errors of motions that are predicted while odometry fails
     tracker              last pose fix and the other state of tracking
     loops                search for loop closures
     joins                search for the place of a part of the map that is not connected
@@ -70,6 +71,7 @@ class SlamState:
         self.config = config
         self.mapper = Mapper()
         self.odometry_model = motion_model(config.odometry)
+        self.unmeasured_model = PredictedMotionModel(config.odometry)
         self.trajectory = TrajectoryBuilder()
         self.tracker = Tracker(self.odometry_model)
         self.loops = loops or LoopAgreement()
@@ -131,6 +133,7 @@ class SlamState:
     def replace_odometry(self, config: Config) -> None:
         """Use another source of odometry from now on, whose errors are not known yet."""
         self.config, self.odometry_model = config, motion_model(config.odometry)
+        self.unmeasured_model = PredictedMotionModel(config.odometry)
         self.tracker.replace_model(self.odometry_model)
 
     def copy(self) -> SlamState:

@@ -10,19 +10,16 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS, PointMatch, Prediction
+from ..matching.point_matcher import KERNEL, MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
+from ..odometry.systematic_errors import MIN_MOTION_TRAVEL
+from ..odometry.velocity import MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
-from .slip_statistics import SlipStatistics
+from .slip_statistics import STEADY_SECONDS, SlipStatistics
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MAX_TRAVEL
 
-# Seconds for which an even motion is predicted while odometry fails. After that time the robot may have any velocity.
-# Without odometry there is no such limit: nothing else is known of the motion. Origin: definition, the time in which
-# ACCELERATIONS lead to MAX_VELOCITIES.
-STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 # Predictions from a tentative pose. Origin: definition, by odometry and by an even motion.
 FROM_TENTATIVE = 2
 
@@ -30,13 +27,16 @@ FROM_TENTATIVE = 2
 class PosePredictor:
     """Predictions from the last fix on.
 
+    If odometry fails for long, each motion is predicted to be even, as without odometry. Odometry is used again once it
+    agrees with the scans over a motion.
+
     model  of odometry's errors; another one may be set at any time
     """
 
     def __init__(self, model: OdometryModel) -> None:
         self.model = model
         self._fix: PoseFix | None = None
-        self._reference: PoseFix | None = None  # from which odometry predicts
+        self._reference: PoseFix | None = None  # from which odometry predicts, or is compared with the scans
         self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
         self._alternative: PoseFix | None = None  # where that scan fits odometry
         self._alternative_cost = 0.0  # by which it costs more there
@@ -57,6 +57,21 @@ class PosePredictor:
     def tentative(self) -> PoseFix | None:
         """Pose of the last scan, if it was tentative."""
         return self._tentative
+
+    @property
+    def measured(self) -> bool:
+        """True if odometry measures the motion: there is odometry, and it has not failed for long."""
+        return self.model.measured and not self._slips.lasting
+
+    def stop_odometry(self) -> None:
+        """Predict without odometry, whose readings have stopped, until it agrees with the scans again."""
+        if self.model.measured:
+            self._slips.stop()
+
+    @property
+    def velocity(self) -> Floats:
+        """(3,) velocity [x, y, heading] at the last fix, in the base's frame, metres and radians per second."""
+        return self._velocity.velocity
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
@@ -84,7 +99,7 @@ class PosePredictor:
     def stood_in_gap(self, taken: int, missing: int) -> bool:
         """Return True if the wheels hardly moved in a gap, see `is_after_gap`: the robot stood, or was carried."""
         after = self._last_odometry if self._odometry_after_gap is None else self._odometry_after_gap
-        if self._fix is None or after is None or not self.model.measured or not self.is_after_gap(taken, missing):
+        if self._fix is None or after is None or not self.measured or not self.is_after_gap(taken, missing):
             return False
         return bool(wheel_travel(self._fix.odometry_motion(after)) <= MAX_TRAVEL)
 
@@ -133,7 +148,7 @@ class PosePredictor:
             usual = self._by_odometry(self._alternative, odometry, usual.inertia, self._alternative_cost)
         predictions = [usual] if self._since_fix is None else [usual, slip]
         self._since_slip += interval
-        if self._before_slip is not None and self._since_slip < STEADY_SECONDS:
+        if self._before_slip is not None and self._since_slip < STEADY_SECONDS and not self._slips.lasting:
             predictions.append(self._by_odometry(self._before_slip, odometry, slip))
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
@@ -165,17 +180,39 @@ class PosePredictor:
         assert self._fix is not None
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
-        self._slips.add(slipped=result.slipped)
-        self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
-        if result.slipped and self.model.measured:
+        continues = result.slipped or not self.model.measured  # odometry, from here
+        if result.slipped and self.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
-        if result.slipped or not self.model.measured:  # odometry continues from here
+        slipped = result.slipped
+        if self._slips.lasting:
+            agrees = self._odometry_agrees(fix, result.registered_covariance)
+            slipped, continues = not agrees, agrees is not None
+        self._slips.add(self._since_fix or 0.0, slipped=slipped)
+        self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
+        if continues:
             self._reference = fix
+
+    def _odometry_agrees(self, fix: PoseFix, covariance: Floats) -> bool | None:
+        """Return True if odometry agrees with the scans over the motion from the reference to `fix`.
+
+        covariance  (3, 3) of either pose
+        None if the motion is too short to tell, and while both stand.
+        """
+        assert self._reference is not None
+        motion = self._reference.odometry_motion(fix.odometry)
+        by_scans = se2.between(self._reference.pose, fix.pose)
+        if max(wheel_travel(motion), wheel_travel(by_scans)) < MIN_MOTION_TRAVEL:
+            return None
+        motion = self.model.correct(motion)
+        error = self.model.covariance(motion) + self._prediction_error.covariance + 2.0 * covariance
+        return Prediction(motion, inverse(error)).squared_distance(by_scans) < KERNEL**2
 
     def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
         assert self._reference is not None
+        if self._slips.lasting:
+            return self._without_odometry(interval if self._since_fix is None else self._since_fix)
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, self._slips.cost)
         if not self.model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
             slip = replace(slip, information=information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
@@ -183,6 +220,14 @@ class PosePredictor:
             return replace(self._by_odometry(self._reference, odometry, None), search_sigmas=sigmas[1:]), slip
         inertia = slip if self._since_fix is not None else None
         return self._by_odometry(self._reference, odometry, inertia, self._slips.cost_of_none), slip
+
+    def _without_odometry(self, seconds: float) -> tuple[Prediction, Prediction]:
+        """Return the predictions some seconds after the last fix if odometry tells nothing: as without it."""
+        assert self._fix is not None
+        even = self._even_motion(self._fix.pose, seconds)
+        uneven = information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * seconds)
+        sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
+        return replace(even, search_sigmas=sigmas[1:]), replace(even, information=uneven, cost=SlipStatistics().cost)
 
     def _by_odometry(
         self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None, cost: float = 0.0
@@ -196,7 +241,7 @@ class PosePredictor:
     def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:
         """Return the prediction some seconds after `pose` if the robot moves on as it did, whatever odometry says."""
         sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
-        steady = min(seconds, STEADY_SECONDS) if self.model.measured else seconds
+        steady = min(seconds, STEADY_SECONDS) if self.measured else seconds
         return Prediction(se2.compose(pose, self._velocity.motion(steady)), information_of(sigmas), cost)
 
 

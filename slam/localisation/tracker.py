@@ -109,6 +109,20 @@ class Tracker:
         return self._untracked_in_a_row >= MAX_UNTRACKED_SCANS
 
     @property
+    def odometry_fails(self) -> bool:
+        """True if there is odometry, but it has failed for so long that the motion is predicted without it."""
+        return self._predictor.model.measured and not self.measured
+
+    def stop_odometry(self) -> None:
+        """Predict the motion without odometry, whose readings have stopped, until it agrees with the scans again."""
+        self._predictor.stop_odometry()
+
+    @property
+    def velocity(self) -> Floats:
+        """(3,) velocity [x, y, heading] at the last fix, in the base's frame, metres and radians per second."""
+        return self._predictor.velocity
+
+    @property
     def may_have_been_carried(self) -> bool:
         """True if something suggests that the robot was carried while its wheels stood: the view, or a gap.
 
@@ -124,8 +138,8 @@ class Tracker:
         poorly and against odometry and the view has changed recently: it fits here by chance then.
         """
         predictions = self._predictor.predict(stamp, odometry)
-        match = target.match(scan, predictions, exhaustive=not self._measured)
-        if self._measured:
+        match = target.match(scan, predictions, exhaustive=not self.measured)
+        if self.measured:
             match = match_without_moving(match, predictions, scan, target) or match
         alone = self._match_to_last_metres(match, predictions, scan, target)
         match = alone or match
@@ -133,10 +147,14 @@ class Tracker:
         tracked = status is TrackingStatus.TRACKED
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
-        differs = self._views.add(View(odometry, scan.points.xy), self._predictor.model, suspicious=suspicious)
+        differs = self._views.add(
+            View(odometry, scan.points.xy), self._predictor.model, suspicious=suspicious and self.measured
+        )
         fits_by_chance = tracked and (differs or (slipped and match.poor and self._views.changed))
         if fits_by_chance:
             status, slipped = TrackingStatus.FAILED, False
+        if self.odometry_fails:
+            slipped = status is TrackingStatus.TRACKED
         from_last_tentative = predictions[-FROM_TENTATIVE:] if self._predictor.tentative is not None else []
         result = _result(
             match,
@@ -153,16 +171,16 @@ class Tracker:
         """Keep what the predictions of the next scans need of a match."""
         if result.status is TrackingStatus.TRACKED:
             self._last_score, self._untracked_in_a_row = match.score, 0
-            if self._measured:
+            if self.measured:
                 self._predictor.learn(usual, match.points)
         elif result.status is not TrackingStatus.NO_FEATURES:
             self._untracked_in_a_row += 1
-        self._predictor.update(result, odometry, _alternative(match, usual) if self._measured else None)
+        self._predictor.update(result, odometry, _alternative(match, usual) if self.measured else None)
 
     @property
-    def _measured(self) -> bool:
-        """True if the motion is measured by odometry."""
-        return self._predictor.model.measured
+    def measured(self) -> bool:
+        """True if the motion is measured by odometry, which has not failed for long."""
+        return self._predictor.measured
 
     def _match_to_last_metres(
         self, match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
@@ -173,7 +191,7 @@ class Tracker:
         to be closed. If odometry were said to have slipped, the map would tear here.
         """
         usual = predictions[0]
-        if target.recent is None or not self._measured or not match.contradicts(usual):
+        if target.recent is None or not self.measured or not match.contradicts(usual):
             return None
         last_metres = replace(target, field=target.recent())
         alone = last_metres.match(scan, predictions)

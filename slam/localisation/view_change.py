@@ -109,7 +109,10 @@ class ViewComparison:
         return bool(self._travel_since_change < VIEW_CHANGE_MEMORY)
 
     def add(self, view: View, model: OdometryModel, *, suspicious: bool) -> bool:
-        """Add the view of a scan. Return True if the scan is suspicious and shows another place than the last one."""
+        """Add the view of a scan. Return True if the scan is suspicious and shows another place than the last one.
+
+        No scan is suspicious if odometry does not measure the motion: the robot may have driven in between.
+        """
         if self._odometry is not None:
             self._travel_since_change += float(wheel_travel(se2.between(self._odometry, view.odometry)))
         differs = suspicious and self._differs(view, model)
@@ -123,10 +126,8 @@ class ViewComparison:
     def _differs(self, view: View, model: OdometryModel) -> bool:
         """Return True if a view shows another place than the last one, or if it is the first one.
 
-        False without odometry, as the robot may have driven in between, and without enough points for a comparison.
+        False without enough points for a comparison.
         """
-        if not model.measured:
-            return False
         if self._view is None:
             return self._odometry is None
         return self._view.differs_from(view, model.correct(se2.between(self._view.odometry, view.odometry)))

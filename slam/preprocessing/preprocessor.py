@@ -12,11 +12,13 @@ from drivers.messages import Odometry, Scan
 from features import LearnedNoise
 
 from ..config import Config
-from ..geometry.segments import CornerPoints, Segments
+from ..geometry.segments import CornerPoints, Floats, Segments
 from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import EVEN_SECONDS, OdometryHistory
+from ..odometry.velocity import VelocityFilter
+from .deskew import sweep_middle
 from .lidar_features import LidarFeatures, joined
 from .scan_queue import ScanPair, ScanQueue
 
@@ -120,18 +122,37 @@ class Preprocessor:
             odometry.extend_back(queue.earliest)
         return queue.take(odometry.latest, flush=flush)
 
-    def process(self, pair: ScanPair, odometry_model: OdometryModel) -> ProcessedScan:
+    def is_measured(self, pair: ScanPair) -> bool:
+        """Return True if odometry measures the motion of the base during the first sweep, or begins later."""
+        return pair.first.stamp <= self.odometry.latest
+
+    def process(
+        self, pair: ScanPair, odometry_model: OdometryModel, velocity: Floats | None = None
+    ) -> ProcessedScan:
         """De-skew a scan and extract its segments, corners and the points on neither.
 
         Those of a second lidar's scan are added, moved to the stamp of the first. Stamps may be coarser than the scans
         are frequent: one with the stamp of the scan before gets a stamp DISTINCT from it.
+
+        velocity  (3,) of the base during the sweeps, metres and radians per second; None if odometry measures it
         """
-        first = self._first.extract(pair.first, self.odometry, odometry_model)
+        odometry = self.odometry if velocity is None else self._even_motion(pair, velocity)
+        first = self._first.extract(pair.first, odometry, odometry_model)
         features, deskewed = first.in_base_frame(odometry_model), first.deskewed
         travel = deskewed.motion.reach
         if pair.second is not None:
-            second = self._second.extract(pair.second, self.odometry, odometry_model)
+            second = self._second.extract(pair.second, odometry, odometry_model)
             features = joined(features, second.moved_to(deskewed, odometry_model).in_base_frame(odometry_model))
             self.joined_scans += 1
         self._latest = max(deskewed.stamp, self._latest + DISTINCT)
         return ProcessedScan(self._latest, deskewed.odometry, features, travel)
+
+    def _even_motion(self, pair: ScanPair, velocity: Floats) -> OdometryHistory:
+        """Return readings of a robot that moves evenly during the sweeps, and is where odometry has it in the middle."""
+        middle, motion = sweep_middle(pair.first), VelocityFilter(velocity).motion
+        scans = [scan for scan in pair if scan is not None]
+        begin, end = min(scan.stamp for scan in scans), max(scan.stamp + scan.duration for scan in scans)
+        stamps = np.unique([begin, middle, end])
+        return OdometryHistory.from_arrays(
+            stamps, np.array([se2.compose(self.odometry.at(middle), motion(stamp - middle)) for stamp in stamps])
+        )

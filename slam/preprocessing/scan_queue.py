@@ -16,8 +16,8 @@ from drivers.messages import Scan
 
 from .deskew import sweep_middle
 
-# Scans that wait, and seconds between the first and the last of them, above both of which the oldest is processed
-# without odometry covering its sweep, as if the robot stood. The motion is interpolated in shorter gaps of odometry.
+# Scans that wait, and seconds between the first and the last of them, above both of which odometry is not waited for:
+# until its next reading, scans are processed as if the robot stood. The motion is interpolated in shorter gaps.
 # Origin: chosen, a base that is reconnected answers within seconds; not measured.
 MAX_QUEUED_SCANS, MAX_QUEUED_SECONDS = 20, 10.0
 # Begin and end of the window, in intervals between scans of the first lidar, from the middle of its scan. With lidars
@@ -58,6 +58,7 @@ class ScanQueue:
         self._second: deque[Scan] = deque()
         self._taken: deque[float] = deque(maxlen=INTERVALS + 1)  # middles of the first lidar's last scans
         self._arrived: deque[float] = deque(maxlen=INTERVALS + 1)  # the same of the second lidar
+        self._not_waited = -np.inf  # stamp of the reading of odometry after which none is waited for
         self._latest = self._beginning = -np.inf  # middles of the latest and of the earliest scan of the first lidar
 
     def __len__(self) -> int:
@@ -108,12 +109,15 @@ class ScanQueue:
         covered  stamp up to which odometry is known, seconds
         flush    no more messages will come, so that nothing is waited for
 
-        A scan that would have to wait is also returned if the queue is full.
+        A scan that would have to wait is also returned if the queue is full, and so are those after it until odometry
+        goes on.
         """
         if not self._first:
             return None
         scan = self._first[0]
-        waits = not (flush or self.is_full)
+        if self.is_full:
+            self._not_waited = covered
+        waits = not flush and covered > self._not_waited
         if waits and _end(scan) > covered:
             return None
         low, high = self._window(sweep_middle(scan)) if self._two_lidars else (-np.inf, -np.inf)

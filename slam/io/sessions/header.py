@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -89,6 +89,7 @@ class _Tracker(Record):
     after_slips: int = Field(default=0, ge=0)
     repeated_slips: int = Field(default=0, ge=0)
     failing: bool = False
+    failing_for: Finite = Field(default=0.0, ge=0.0)
     last_score: Finite
 
 
@@ -228,7 +229,7 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     return TrackerState(
         fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),
         np.array(record.velocity_variances), np.array(record.prediction_variances), record.prediction_scans,
-        SlipStatistics(record.scans, record.slips, record.after_slips, record.repeated_slips, record.failing),
+        SlipStatistics(**{one.name: getattr(record, one.name) for one in fields(SlipStatistics)}),
         record.last_score,
     )  # fmt: skip
 
