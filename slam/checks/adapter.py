@@ -69,21 +69,26 @@ def drive_of(
         measured=odometry_model.measured,
         start=start,
         readings=np.concatenate([np.zeros(0), *(history.stamps for history in segments.histories)]),
+        failing=~scans.measured[rows] if odometry_model.measured else None,
     )
 
 
 def unconstrained_stretches(
-    trajectory: TrajectoryBuilder, keyframe_poses: Floats, odometry_model: OdometryModel
+    trajectory: TrajectoryBuilder, keyframe_poses: Floats, measured: Floats, unobserved_sigma: float
 ) -> list[Suspect]:
-    """Return a suspect for each stretch, in a drive without odometry, whose scans do not determine the motion along it.
+    """Return a suspect for each stretch in which neither odometry nor the scans determine the motion along it.
 
-    `keyframe_poses` (k, 3) are those of the finished map. The length of such a stretch is a guess.
+    keyframe_poses    (k, 3) of the finished map
+    measured          stamps of the scans to which odometry leads, seconds
+    unobserved_sigma  metres, see `OdometryModel`
+
+    The length of such a stretch is a guess.
     """
     stamps, poses = trajectory.at_scans(keyframe_poses)
     informations = trajectory.relative_poses()[3]
     blind = [
-        weakest_direction(pose, information, odometry_model.unobserved_sigma) is not None
-        for pose, information in zip(poses, informations, strict=True)
+        not is_measured and weakest_direction(pose, information, unobserved_sigma) is not None
+        for is_measured, pose, information in zip(np.isin(stamps, measured), poses, informations, strict=True)
     ]
     travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
     suspects = []
@@ -95,7 +100,7 @@ def unconstrained_stretches(
         if possible > MIN_BLIND_LENGTH:
             extent = f"{length:.1f} m" if length > MIN_BLIND_LENGTH else f"{seconds:.0f} s"
             text = (
-                f"for {extent} the scans do not determine the motion in one direction, and there is no odometry: "
+                f"for {extent} the scans do not determine the motion in one direction, and no odometry measures it: "
                 "constant velocity is assumed, and the length may be wrong"
             )
             weight, times = possible / MIN_BLIND_LENGTH, (float(stamps[first]), float(stamps[last]))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
@@ -36,6 +37,7 @@ class Drive:
     start       stamp (seconds) from which times in texts are counted
     readings    (m,) stamps of the odometry readings; between two of them odometry is interpolated. Without any, there
                 is one at each scan
+    failing     (n,) True for scans to which odometry does not lead, as it was missing or known to fail; none by default
     """
 
     stamps: Floats
@@ -48,6 +50,7 @@ class Drive:
     measured: bool = True
     start: float = 0.0
     readings: Floats = field(default_factory=lambda: np.zeros(0))
+    failing: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -56,6 +59,7 @@ class Drive:
         """Return the drive with those scans only that are SAMPLE_DISTANCE or SAMPLE_TURN apart and not empty."""
         counts = np.array([len(points) for points in self.points], dtype=np.int64)
         rows = _sample(self.odometry, self.poses, counts)
+        failing = None if self.failing is None else np.diff(np.cumsum(self.failing)[rows], prepend=0) > 0
         return Drive(
             self.stamps[rows],
             self.poses[rows],
@@ -67,6 +71,7 @@ class Drive:
             self.measured,
             self.start,
             self.readings,
+            failing,
         )
 
     def between_readings(self, first: int, last: int) -> tuple[int, int]:

@@ -2,7 +2,8 @@
 
 A step leads from one checked scan to the next. Two things speak for or against it: how well the scan fits the scans
 just before it, and how far the step departs from odometry. Both are added as logarithms of a probability: the fit times
-FIT_WEIGHT, and for odometry a Cauchy distribution, since wheels slip now and then.
+FIT_WEIGHT, and for odometry a Cauchy distribution, since wheels slip now and then. A step on
+which odometry was missing, or known to fail, is not compared with it.
 """
 
 from __future__ import annotations
@@ -80,6 +81,7 @@ def judge_steps(drive: Drive) -> Steps:
     count = len(drive) - 1
     rows = np.arange(count)
     error, distance = drive.departures(rows, rows + 1)
+    failing = np.zeros(count, dtype=bool) if drive.failing is None else drive.failing[1:]
     steps = Steps(
         threshold=math.log(max(count, 1) / FALSE_ALARM_PROBABILITY),
         error=error,
@@ -100,14 +102,15 @@ def judge_steps(drive: Drive) -> Steps:
         if k >= FIELD_SCANS:
             field.remove(drive.points[k - FIELD_SCANS], drive.poses[k - FIELD_SCANS])
         if judged[k]:
-            _judge(steps, k, drive, field, measured[k], float(prior[k]), gross=bool(gross[k]))
+            if not failing[k]:
+                _judge(steps, k, drive, field, measured[k], float(prior[k]))
+            if gross[k]:
+                _judge_odometry(steps, k, drive, field, measured[k])
     return steps
 
 
-def _judge(
-    steps: Steps, k: int, drive: Drive, field: DistanceRings, measured: se2.Pose, prior: float, *, gross: bool
-) -> None:
-    """Fill in the row of a step; `measured` is its motion by odometry, `prior` the logarithm for the final pose."""
+def _judge(steps: Steps, k: int, drive: Drive, field: DistanceRings, measured: se2.Pose, prior: float) -> None:
+    """Compare the final pose of a step with others; `measured` is its motion by odometry, `prior` the logarithm."""
     points, before, after = compared_points(drive.points[k + 1]), drive.poses[k], drive.poses[k + 1]
     steps.fit[k] = fit = float(field.fits(points, after[None])[0])
     variances = drive.variances(measured)
@@ -117,9 +120,14 @@ def _judge(
         steps.fit_gain[k] = FIT_WEIGHT * (best_fit - fit)
         steps.gain[k] = steps.fit_gain[k] + best_prior - prior
         steps.alternative[k] = pose
-    if gross:
-        half_width = SEARCH_SIGMAS * np.sqrt(variances)
-        steps.slip[k] = FIT_WEIGHT * (fit - _search(field, points, before, measured, variances, half_width)[1])
+
+
+def _judge_odometry(steps: Steps, k: int, drive: Drive, field: DistanceRings, measured: se2.Pose) -> None:
+    """Fill in `slip` of a step with grossly wrong odometry, which measured the motion `measured`."""
+    points, before, after = compared_points(drive.points[k + 1]), drive.poses[k], drive.poses[k + 1]
+    variances = drive.variances(measured)
+    best_fit = _search(field, points, before, measured, variances, SEARCH_SIGMAS * np.sqrt(variances))[1]
+    steps.slip[k] = FIT_WEIGHT * (float(field.fits(points, after[None])[0]) - best_fit)
 
 
 def _search(

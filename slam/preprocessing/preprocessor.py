@@ -43,12 +43,14 @@ class ProcessedScan:
     odometry  (3,) odometry pose in the middle of the sweep
     features  segments, corners and points in the base's frame
     travel    metres of wheel travel from the middle of the sweep to its ends
+    measured  False if odometry was missing or failing, so that an even motion led to the scan
     """
 
     stamp: float
     odometry: se2.Pose
     features: ScanFeatures
     travel: float = 0.0
+    measured: bool = True
 
 
 class Preprocessor:
@@ -145,7 +147,7 @@ class Preprocessor:
             features = joined(features, second.moved_to(deskewed, odometry_model).in_base_frame(odometry_model))
             self.joined_scans += 1
         self._latest = max(deskewed.stamp, self._latest + DISTINCT)
-        return ProcessedScan(self._latest, deskewed.odometry, features, travel)
+        return ProcessedScan(self._latest, deskewed.odometry, features, travel, measured=velocity is None)
 
     def _even_motion(self, pair: ScanPair, velocity: Floats) -> OdometryHistory:
         """Return readings of a robot that moves evenly during the sweeps, and is where odometry has it in the middle."""

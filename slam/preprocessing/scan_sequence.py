@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Iterable, Sequence
 from typing import overload
 
@@ -24,6 +25,7 @@ class ScanSequence(Sequence[ProcessedScan]):
 
     def __init__(self, scans: Iterable[ProcessedScan] = ()) -> None:
         self._stamps, self._odometry, self._travel = GrowingArray(()), GrowingArray((3,)), GrowingArray(())
+        self._unmeasured: list[int] = []  # rows of the scans to which odometry does not lead, which are rare
         self._features: dict[int, PackedFeatures] = {}  # by row; the other scans have none
         for scan in scans:
             self.append(scan)
@@ -37,7 +39,7 @@ class ScanSequence(Sequence[ProcessedScan]):
         """Return a copy that later scans do not change; it shares the numbers."""
         other = ScanSequence()
         other._stamps, other._odometry = self._stamps.copy(), self._odometry.copy()
-        other._travel = self._travel.copy()
+        other._travel, other._unmeasured = self._travel.copy(), list(self._unmeasured)
         other._features = dict(self._features)
         return other
 
@@ -45,6 +47,8 @@ class ScanSequence(Sequence[ProcessedScan]):
         """Append a scan."""
         if scan.features is not NO_FEATURES:
             self._features[len(self)] = PackedFeatures(scan.features)
+        if not scan.measured:
+            self._unmeasured.append(len(self))
         self._stamps.append(scan.stamp)
         self._odometry.append(scan.odometry)
         self._travel.append(scan.travel)
@@ -67,8 +71,8 @@ class ScanSequence(Sequence[ProcessedScan]):
         if isinstance(row, slice):
             return ScanSequence(self[k] for k in range(*row.indices(len(self))))
         row = range(len(self))[row]
-        stamp, travel = float(self.stamps[row]), float(self.travel[row])
-        return ProcessedScan(stamp, self.odometry[row].copy(), self.features(row), travel)
+        stamp, travel, measured = float(self.stamps[row]), float(self.travel[row]), self._is_measured(row)
+        return ProcessedScan(stamp, self.odometry[row].copy(), self.features(row), travel, measured)
 
     @property
     def stamps(self) -> Floats:
@@ -86,11 +90,22 @@ class ScanSequence(Sequence[ProcessedScan]):
         return self._travel.rows
 
     @property
+    def measured(self) -> NDArray[np.bool_]:
+        """(n,) True for scans to which odometry leads, see `ProcessedScan`."""
+        mask = np.ones(len(self), dtype=bool)
+        mask[self._unmeasured] = False
+        return mask
+
+    @property
     def has_features(self) -> NDArray[np.bool_]:
         """(n,) True for scans whose features are there."""
         mask = np.zeros(len(self), dtype=bool)
         mask[list(self._features)] = True
         return mask
+
+    def _is_measured(self, row: int) -> bool:
+        place = bisect.bisect_left(self._unmeasured, row)
+        return self._unmeasured[place : place + 1] != [row]
 
     def features(self, row: int) -> ScanFeatures:
         """Return the features of a scan, NO_FEATURES if they are not there."""

@@ -13,6 +13,7 @@ from ..events import Finished
 from ..geometry.segments import Floats
 from ..mapping.odometry_segments import OdometrySegments
 from ..preprocessing.preprocessor import ProcessedScan
+from ..preprocessing.scan_sequence import ScanSequence
 from .publisher import Publisher
 
 
@@ -51,5 +52,8 @@ def _all_suspects(
     drive = drive_of(scans, segments, trajectory.at_scans(mapper.keyframe_poses), model, start)
     suspects = [*unconnected_parts(mapper, state.keyframe_stamps, start), *find_suspects(drive)]
     if model.measured:
-        return suspects + unmatched_stretches(mapper, trajectory, state.keyframe_stamps)
-    return suspects + unconstrained_stretches(trajectory, mapper.keyframe_poses, model)
+        suspects += unmatched_stretches(mapper, trajectory, state.keyframe_stamps)
+    sequence = ScanSequence.of(scans)
+    measured = sequence.stamps[sequence.measured & model.measured]
+    sigma = state.unmeasured_model.unobserved_sigma
+    return suspects + unconstrained_stretches(trajectory, mapper.keyframe_poses, measured, sigma)

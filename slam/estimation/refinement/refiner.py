@@ -41,7 +41,7 @@ class RefinementResult:
 def match_trajectory(mapper: Mapper, history: ScanHistory, model: OdometryModel) -> TrajectoryBuilder:
     """Match every scan to the map and return the smoothed trajectory; the map does not change."""
     poses = mapper.keyframe_poses
-    scan_poses, _ = smooth_trajectory(mapper, history, model, poses, np.zeros(len(history), dtype=bool))
+    scan_poses, _ = smooth_trajectory(mapper, history, model, poses, ~history.measured)
     return history.trajectory(poses, scan_poses)
 
 
@@ -49,7 +49,7 @@ def refine(mapper: Mapper, history: ScanHistory, model: OdometryModel) -> Refine
     """Refine the map of a session. The mapper has converged; it is not modified."""
     initial, cost = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.chi2()
     matches = mapper.graph.matches()
-    poses, odometry_wrong = initial, np.zeros(len(history), dtype=bool)
+    poses, odometry_wrong = initial, ~history.measured
     iterations = changed = merged = 0
     shift = np.inf
     while iterations < MAX_ITERATIONS and shift > CONVERGED_SHIFT:

@@ -80,6 +80,11 @@ class ScanHistory:
         return ScanSequence.of(self.scans).odometry
 
     @property
+    def measured(self) -> NDArray[np.bool_]:
+        """Mask (n,) of the scans to which odometry leads, see `ProcessedScan`."""
+        return ScanSequence.of(self.scans).measured
+
+    @property
     def has_features(self) -> NDArray[np.bool_]:
         """Mask (n,) of the scans whose features were stored."""
         return ScanSequence.of(self.scans).has_features

@@ -32,6 +32,7 @@ GROUP_ROWS = 1000
 UPPER_TRIANGLE = np.triu_indices(3)
 POSE_ENTRIES = ("xx", "xy", "xh", "yy", "yh", "hh")
 """Names of the upper triangle's entries of a matrix of (x, y, heading)."""
+MEASURED = "measured"
 SEGMENT_IDS, CORNER_IDS = "segment_landmark_ids", "corner_landmark_ids"
 
 
@@ -69,14 +70,15 @@ def write_scans(file: Path, records: ScanRecords) -> None:
 class _Values:
     """Values of all n scans, of which m have a pose on the trajectory.
 
-    stamps, travel, has_features  (n,), odometry (n, 3): see `ScanSequence`
-    tracked                       (m,) rows of the scans on the trajectory
-    own_keyframes                 (m,), relative (m, 3), informations (m, 3, 3): see `TrajectoryBuilder`
+    stamps, travel, measured, has_features  (n,), odometry (n, 3): see `ScanSequence`
+    tracked        (m,) rows of the scans on the trajectory
+    own_keyframes  (m,), relative (m, 3), informations (m, 3, 3): see `TrajectoryBuilder`
     """
 
     stamps: Floats
     odometry: Floats
     travel: Floats
+    measured: NDArray[np.bool_]
     has_features: NDArray[np.bool_]
     tracked: Integers
     own_keyframes: Integers
@@ -89,7 +91,17 @@ class _Values:
         scans, stamps = records.scans, records.scans.stamps
         tracked_stamps, own, relative, informations = records.trajectory.relative_poses()
         tracked = _rows_of(tracked_stamps, stamps)
-        return cls(stamps, scans.odometry, scans.travel, scans.has_features, tracked, own, relative, informations)
+        return cls(
+            stamps,
+            scans.odometry,
+            scans.travel,
+            scans.measured,
+            scans.has_features,
+            tracked,
+            own,
+            relative,
+            informations,
+        )
 
     def columns(self, keyframes: Integers, rows: range) -> dict[str, NDArray[np.generic]]:
         """Return the columns with one value for each of the scans `rows`; `keyframes` are the rows of keyframes."""
@@ -99,7 +111,7 @@ class _Values:
         tracked = self.tracked[begin:end] - rows.start
         columns: dict[str, NDArray[np.generic]] = {"stamp": self.stamps[some]}
         columns |= {f"odometry_{name}": self.odometry[some, k] for k, name in enumerate(("x", "y", "heading"))}
-        columns["sweep_travel"] = self.travel[some]
+        columns |= {"sweep_travel": self.travel[some], MEASURED: self.measured[some]}
         numbers = _scatter(keyframes[first:last] - rows.start, np.arange(first, last), count, -1)
         columns["keyframe"] = numbers.astype(np.int32)
         columns["anchor"] = _scatter(tracked, self.own_keyframes[begin:end], count, -1).astype(np.int32)
@@ -169,9 +181,11 @@ def read_scans(file: Path, recent_keyframes: Path) -> ScanRecords:
     _read_recent_keyframes(recent_keyframes, features, rows[-EXACT_KEYFRAMES:])
     has_features = table.booleans("has_features")
     travel = table.floats("sweep_travel").tolist()
+    measured = table.booleans(MEASURED) if MEASURED in table else np.ones(len(table), dtype=bool)  # by earlier versions
     features = [one if has_features[row] else NO_FEATURES for row, one in enumerate(features)]
     scans = ScanSequence(
-        ProcessedScan(float(stamps[row]), odometry[row], features[row], travel[row]) for row in range(len(table))
+        ProcessedScan(float(stamps[row]), odometry[row], features[row], travel[row], bool(measured[row]))
+        for row in range(len(table))
     )
     walls, corners = (split_rows(*table.ragged_integers(name)) for name in (SEGMENT_IDS, CORNER_IDS))
     landmark_ids = [LandmarkIds(walls[row][:, 0], corners[row][:, 0]) for row in rows.tolist()]
