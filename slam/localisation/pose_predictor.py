@@ -42,6 +42,7 @@ class PosePredictor:
         self._alternative_cost = 0.0  # by which it costs more there
         self._before_slip: PoseFix | None = None  # reference before the last slip
         self._since_slip = 0.0  # seconds
+        self._interval = 0.0  # seconds between the last two scans
         self._since_fix: float | None = None  # seconds; None if no slip is possible
         self._last_odometry: se2.Pose | None = None  # at the last scan
         self._odometry_after_gap: se2.Pose | None = None  # at the first scan since the fix that showed something
@@ -141,7 +142,7 @@ class PosePredictor:
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
         self._last_odometry = odometry
-        interval = self._clock.interval(stamp)
+        self._interval = interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
         if self._alternative is not None:  # both hypotheses are followed from where the last scan fits them
@@ -187,7 +188,9 @@ class PosePredictor:
         if self._slips.lasting:
             agrees = self._odometry_agrees(fix, result.registered_covariance)
             slipped, continues = not agrees, agrees is not None
-        self._slips.add(self._since_fix or 0.0, slipped=slipped)
+        # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
+        seconds = self._since_fix if self._since_fix is not None and self._interval <= STEADY_SECONDS else 0.0
+        self._slips.add(seconds, slipped=slipped)
         self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
         if continues:
             self._reference = fix

@@ -20,6 +20,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction
 from ..matching.scan_features import ScanFeatures

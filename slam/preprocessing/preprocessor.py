@@ -128,9 +128,7 @@ class Preprocessor:
         """Return True if odometry measures the motion of the base during the first sweep, or begins later."""
         return pair.first.stamp <= self.odometry.latest
 
-    def process(
-        self, pair: ScanPair, odometry_model: OdometryModel, velocity: Floats | None = None
-    ) -> ProcessedScan:
+    def process(self, pair: ScanPair, odometry_model: OdometryModel, velocity: Floats | None = None) -> ProcessedScan:
         """De-skew a scan and extract its segments, corners and the points on neither.
 
         Those of a second lidar's scan are added, moved to the stamp of the first. Stamps may be coarser than the scans
@@ -150,7 +148,7 @@ class Preprocessor:
         return ProcessedScan(self._latest, deskewed.odometry, features, travel, measured=velocity is None)
 
     def _even_motion(self, pair: ScanPair, velocity: Floats) -> OdometryHistory:
-        """Return readings of a robot that moves evenly during the sweeps, and is where odometry has it in the middle."""
+        """Return readings of a robot that moves evenly during the sweeps, from the pose of odometry in the middle."""
         middle, motion = sweep_middle(pair.first), VelocityFilter(velocity).motion
         scans = [scan for scan in pair if scan is not None]
         begin, end = min(scan.stamp for scan in scans), max(scan.stamp + scan.duration for scan in scans)

@@ -37,9 +37,9 @@ from ..loop_closure.decision import LoopDecision
 from ..mapping.mapper import Mapper
 from ..odometry.error_model import OdometryModel
 from ..preprocessing.preprocessor import ProcessedScan
-from .blind_stretches import BlindStretches
 from .event_contents import keyframe_event, loop_event, settled_keyframe_event
 from .odometry_deviations import OdometryDeviations
+from .stretches import Stretches
 
 # Keyframes between two events with the whole map.
 MAP_INTERVAL = 20
@@ -59,7 +59,12 @@ class Publisher:
         self._published_removed: frozenset[int] | None = None  # wall ids; None before the first map of a session
         self._inspected_keyframes = 0  # at the last inspection of the graph
         self._last_tracked: tuple[se2.Pose, se2.Pose] | None = None  # pose of a scan and of odometry
-        self._deviations, self._blind = OdometryDeviations(), BlindStretches()
+        self._deviations = OdometryDeviations()
+        # As in a gap in the scans, it is not seen what the robot does meanwhile: it may be carried.
+        reason = "the lidar was covered, or everything was out of its range"
+        self._blind = Stretches("the scans showed nothing", reason)
+        consequence = "the motion was predicted from the scans"
+        self._unmeasured = Stretches("odometry was missing or contradicted the scans", consequence)
 
     def publish(self, event: Event) -> None:
         """Send an event to the sinks that receive its type."""
@@ -75,7 +80,8 @@ class Publisher:
         self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper, odometry_model: OdometryModel
     ) -> None:
         """Publish the pose of a scan, and a notice if it was not tracked normally."""
-        self._blind.add(scan.stamp, blind=tracking.status is TrackingStatus.NO_FEATURES)
+        self._blind.add(scan.stamp, wrong=tracking.status is TrackingStatus.NO_FEATURES)
+        self._unmeasured.add(scan.stamp, wrong=not scan.measured)
         if tracking.slipped:
             self._publish_slip(scan, tracking)
         if tracking.status is TrackingStatus.TRACKED:
@@ -115,10 +121,11 @@ class Publisher:
         if (notice := self._deviations.summary(scans)) is not None:
             self.publish(notice)
 
-    def publish_blind_stretches(self) -> None:
-        """Publish at the end of a run how long and when the scans showed nothing, if ever."""
-        if (notice := self._blind.summary()) is not None:
-            self.publish(notice)
+    def publish_stretches(self) -> None:
+        """Publish at the end of a run how long and when scans showed nothing, or odometry was not used, if ever."""
+        for stretches in (self._blind, self._unmeasured):
+            if (notice := stretches.summary()) is not None:
+                self.publish(notice)
 
     def publish_unseen(self, scans: Floats, stamps: Floats, poses: Floats) -> None:
         """Publish at the end of a run where the path begins before the first scan, or goes on after the last one.

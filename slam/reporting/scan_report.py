@@ -54,5 +54,5 @@ class ScanReport:
     def end(self, state: SlamState, stamp: float) -> None:
         """Report at the end of a run the loops that remain undecided, and where scans or odometry told nothing."""
         self.add_rejected_loops(state, stamp, ended=True)
-        self._publisher.publish_blind_stretches()
+        self._publisher.publish_stretches()
         self._publisher.publish_deviations(len(self._statistics.overlap_ratios))

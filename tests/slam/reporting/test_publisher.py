@@ -38,7 +38,7 @@ def test_a_slip_is_a_message_if_it_is_large_and_nothing_before_the_first_tracked
     publisher = Publisher([notices])
     mapper: Any = SimpleNamespace(keyframe_count=2)
     model: Any = None
-    scan: Any = SimpleNamespace(stamp=1.0, odometry=np.array([7.0, 0.0, 0.0]))
+    scan: Any = SimpleNamespace(stamp=1.0, odometry=np.array([7.0, 0.0, 0.0]), measured=True)
     if slip is not None:
         publisher.publish_tracking(scan, tracking_at(0.0, slipped=False), mapper, model)
     publisher.publish_tracking(scan, tracking_at(slip or 0.5, slipped=True), mapper, model)
@@ -51,7 +51,7 @@ def test_odometry_that_is_often_far_off_is_one_warning() -> None:
     mapper: Any = SimpleNamespace(keyframe_count=2)
     model: Any = None
     for stamp, x in enumerate((0.0, 0.5, 2.0, 2.3)):  # odometry stands still
-        scan: Any = SimpleNamespace(stamp=float(stamp), odometry=np.zeros(3))
+        scan: Any = SimpleNamespace(stamp=float(stamp), odometry=np.zeros(3), measured=True)
         publisher.publish_tracking(scan, tracking_at(x, slipped=stamp > 0), mapper, model)
     publisher.publish_deviations(4)
     assert notices.levels == ["INFO", "TRACE", "TRACE", "WARN"]
@@ -73,9 +73,9 @@ def test_stretches_on_which_the_scans_show_nothing_are_one_warning_if_they_last(
     blind = SimpleNamespace(slipped=False, status=TrackingStatus.NO_FEATURES)
     for spans in ([(1.0, 1.2)], [(1.0, 1.2), (2.0, 3.5), (5.0, 5.8)]):
         for k in range(80):
-            scan: Any = SimpleNamespace(stamp=0.1 * k, odometry=np.zeros(3))
+            scan: Any = SimpleNamespace(stamp=0.1 * k, odometry=np.zeros(3), measured=True)
             covered = any(first <= scan.stamp <= last for first, last in spans)
             publisher.publish_tracking(scan, blind if covered else tracking_at(0.0, slipped=False), mapper, model)
-        publisher.publish_blind_stretches()
+        publisher.publish_stretches()
     (text,) = notices.texts
     assert text.startswith("the scans showed nothing for 1.5 s, the longest of 2 times: ")

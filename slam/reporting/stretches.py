@@ -1,4 +1,4 @@
-"""Message about the stretches of a drive on which the scans show nothing that can be matched."""
+"""Message about the stretches of a drive on which something was wrong."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ from drivers.gaps import MIN_GAP
 from ..events import Notice
 
 
-class BlindStretches:
-    """Stretches of scans in a row that show nothing, as the lidar is covered or everything is out of its range.
+class Stretches:
+    """Stretches of scans in a row for which the same is wrong."""
 
-    As in a gap in the scans, it is not seen what the robot does: it may be carried meanwhile.
-    """
-
-    def __init__(self) -> None:
+    def __init__(self, wrong: str, remark: str) -> None:
+        """`wrong` states what is wrong, as a sentence, and `remark` its reason or its consequence."""
+        self._wrong, self._remark = wrong, remark
         self._count = 0
         self._first: float | None = None  # stamp of the first scan of the present stretch, seconds
         self._last = 0.0  # stamp of its last scan
         self._longest = 0.0, 0.0  # seconds, and the stamp of the first scan
 
-    def add(self, stamp: float, *, blind: bool) -> None:
-        """Add the next scan with its stamp (seconds); `blind` is true if it shows nothing."""
-        if not blind:
+    def add(self, stamp: float, *, wrong: bool) -> None:
+        """Add the next scan with its stamp (seconds); `wrong` is true if it is part of a stretch."""
+        if not wrong:
             self._end()
         elif self._first is None:
             self._first = self._last = stamp
@@ -35,8 +34,7 @@ class BlindStretches:
             return None
         seconds, stamp = self._longest
         several = f", the longest of {self._count} times" if self._count > 1 else ""
-        reason = "the lidar was covered, or everything was out of its range"
-        return Notice(stamp, f"the scans showed nothing for {seconds:.1f} s{several}: {reason}")
+        return Notice(stamp, f"{self._wrong} for {seconds:.1f} s{several}: {self._remark}")
 
     def _end(self) -> None:
         """End the present stretch, if there is one."""
