@@ -82,7 +82,7 @@ class TrajectoryBuilder:
 
         Each reading is reached by odometry from the scan before it. The error of odometry up to the next scan is
         distributed in proportion to the wheel travel between the two scans: wheels err while they roll, not while they
-        stand.
+        stand. If they stand all the time, it is distributed evenly: the robot is carried, or odometry fails.
         """
         stamps, poses = self.at_scans(keyframe_poses)
         if not len(stamps):
@@ -127,7 +127,10 @@ class _Scans:
         error = self.poses[after] - predicted_next
         error[:, 2] = se2.wrap(error[:, 2])
         span = self.travelled[after] - self.travelled[before]
-        part = np.clip((travelled - self.travelled[before]) / np.where(span > 0, span, 1.0), 0.0, 1.0)
+        seconds = self.stamps[after] - self.stamps[before]
+        by_travel = (travelled - self.travelled[before]) / np.where(span > 0.0, span, 1.0)
+        by_time = (at - self.stamps[before]) / np.where(seconds > 0.0, seconds, 1.0)
+        part = np.clip(np.where(span > 0.0, by_travel, by_time), 0.0, 1.0)
         result = predicted + part[:, None] * error
         result[:, 2] = se2.wrap(result[:, 2])
         return result

@@ -126,6 +126,18 @@ def test_frozen_odometry_is_found() -> None:
     assert found.last < 50.0 + SECONDS
 
 
+def test_steps_are_not_compared_with_odometry_that_is_known_to_fail() -> None:
+    drive = simulated_drive("corridor")
+    frozen, begin, end = drive.odometry.copy(), row_at(drive, 40.0), row_at(drive, 44.0)
+    frozen[begin:end] = frozen[begin]
+    frozen[end:] = se2.compose(frozen[begin], se2.between(frozen[end], frozen[end:]))
+    failing = np.zeros(len(drive), dtype=bool)
+    failing[begin : end + 1] = True
+    assert of(PLACEMENT, find_suspects(replace(drive, odometry=frozen)))
+    found = find_suspects(replace(drive, odometry=frozen, failing=failing))
+    assert [suspect.check for suspect in found] == [ODOMETRY]
+
+
 def test_frozen_odometry_is_found_although_a_scan_is_misplaced_meanwhile() -> None:
     """The path may be wrong by the displacement of the scan, which is far less than what odometry has missed."""
     drive = simulated_drive("office")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.io.sessions.scans import ScanRecords, write_scans
+from slam.io.sessions.scans import ScanRecords, read_scans, write_recent_keyframes, write_scans
 from slam.mapping.trajectory_builder import TrajectoryBuilder
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from slam.preprocessing.scan_sequence import ScanSequence
@@ -24,6 +24,16 @@ def records(count: int) -> ScanRecords:
         scans.append(ProcessedScan(stamp, np.zeros(3), NO_FEATURES, 0.0))
         trajectory.add(stamp, 0, np.zeros(3), np.eye(3))
     return ScanRecords(scans, trajectory, [], [])
+
+
+def test_scans_to_which_odometry_does_not_lead_are_stored(tmp_path: Path) -> None:
+    flags = [True, True, False, True]
+    scans = ScanSequence(ProcessedScan(0.1, np.zeros(3), NO_FEATURES, measured=measured) for measured in flags)
+    written = ScanRecords(scans, TrajectoryBuilder(), [], [])
+    write_scans(tmp_path / "scans.parquet", written)
+    write_recent_keyframes(tmp_path / "recent.parquet", written)
+    read = read_scans(tmp_path / "scans.parquet", tmp_path / "recent.parquet").scans
+    assert read.measured.tolist() == [scan.measured for scan in read] == flags
 
 
 def test_to_write_scans_takes_less_memory_than_a_copy_of_their_record(tmp_path: Path) -> None:

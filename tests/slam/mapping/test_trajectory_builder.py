@@ -53,6 +53,18 @@ def test_the_error_of_odometry_is_distributed_over_the_wheel_travel() -> None:
     np.testing.assert_allclose(np.diff(poses[10:], axis=0), np.tile([0.06, 0.0, 0.02], (10, 1)), atol=1e-12)
 
 
+def test_the_motion_is_even_between_scans_if_the_wheels_stand_still() -> None:
+    """The robot is carried, or odometry fails: it does not jump at the next scan."""
+    odometry, trajectory = (
+        OdometryHistory.from_arrays(np.linspace(0.0, 2.0, 21), np.zeros((21, 3))),
+        TrajectoryBuilder(),
+    )
+    for stamp, x in ((0.0, 0.0), (1.0, 0.5), (2.0, 1.5)):
+        trajectory.add(stamp, 0, np.array([x, 0.0, 0.0]), np.eye(3))
+    at, poses = trajectory.path(np.zeros((1, 3)), odometry)
+    np.testing.assert_allclose(poses[:, 0], np.interp(at, [0.0, 1.0, 2.0], [0.0, 0.5, 1.5]), atol=1e-12)
+
+
 def test_a_single_scan_places_all_readings() -> None:
     odometry, trajectory = circle_history(), TrajectoryBuilder()
     trajectory.add(0.55, 0, np.array([1.0, 0.0, 0.0]), np.eye(3))

@@ -33,13 +33,19 @@ def features(segments: int = 3, corners: int = 2, points: int = 5) -> ScanFeatur
 def some_scans(count: int) -> list[ProcessedScan]:
     """Return scans of which every other one has features."""
     return [
-        ProcessedScan(0.1 * k, np.array([k, -k, 0.01 * k]), NO_FEATURES if k % 2 else features(k, k // 2), 0.001 * k)
+        ProcessedScan(
+            0.1 * k,
+            np.array([k, -k, 0.01 * k]),
+            NO_FEATURES if k % 2 else features(k, k // 2),
+            0.001 * k,
+            measured=k % 3 > 0,
+        )
         for k in range(count)
     ]
 
 
 def assert_equal(scan: ProcessedScan, expected: ProcessedScan) -> None:
-    assert (scan.stamp, scan.travel) == (expected.stamp, expected.travel)
+    assert (scan.stamp, scan.travel, scan.measured) == (expected.stamp, expected.travel, expected.measured)
     np.testing.assert_array_equal(scan.odometry, expected.odometry)
     assert (scan.features is NO_FEATURES) == (expected.features is NO_FEATURES)
     assert scan.features.points is expected.features.points
