@@ -64,6 +64,11 @@ class PosePredictor:
         """True if odometry measures the motion: there is odometry, and it has not failed for long."""
         return self.model.measured and not self._slips.lasting
 
+    @property
+    def odometry_fails(self) -> bool:
+        """True if there is odometry, but it has failed for so long that the motion is predicted without it."""
+        return self.model.measured and self._slips.lasting
+
     def stop_odometry(self) -> None:
         """Predict without odometry, whose readings have stopped, until it agrees with the scans again."""
         if self.model.measured:
@@ -149,7 +154,7 @@ class PosePredictor:
             usual = self._by_odometry(self._alternative, odometry, usual.inertia, self._alternative_cost)
         predictions = [usual] if self._since_fix is None else [usual, slip]
         self._since_slip += interval
-        if self._before_slip is not None and self._since_slip < STEADY_SECONDS and not self._slips.lasting:
+        if self._before_slip is not None and self._since_slip < STEADY_SECONDS and not self.odometry_fails:
             predictions.append(self._by_odometry(self._before_slip, odometry, slip))
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
@@ -185,7 +190,7 @@ class PosePredictor:
         if result.slipped and self.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
         slipped = result.slipped
-        if self._slips.lasting:
+        if self.odometry_fails:
             agrees = self._odometry_agrees(fix, result.registered_covariance)
             slipped, continues = not agrees, agrees is not None
         # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
@@ -214,7 +219,7 @@ class PosePredictor:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
         assert self._reference is not None
-        if self._slips.lasting:
+        if self.odometry_fails:
             return self._without_odometry(interval if self._since_fix is None else self._since_fix)
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, self._slips.cost)
         if not self.model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly

@@ -6,9 +6,9 @@ that moves on evenly, at the velocity of the scans before. If it fits best there
 scan decides if odometry continues from there, has caught up, or keeps failing: these are equally probable. If a scan
 fits nowhere, the pose follows odometry. After several scans in a row without a certain pose the robot counts as lost.
 
-Without odometry each motion is predicted to be even. Most are, so the prediction is narrow; but a robot that starts or
-stops to turn is off by many of its standard deviations, and a scan fits well at many wrong headings. So all poses that
-the robot can reach by accelerating are searched at every scan.
+Without odometry, and while it fails for long, each motion is predicted to be even. Most are, so the prediction is
+narrow; but a robot that starts or stops to turn is off by many of its standard deviations, and a scan fits well at many
+wrong headings. So all poses that the robot can reach by accelerating are searched at every scan.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Tracker:
     @property
     def odometry_fails(self) -> bool:
         """True if there is odometry, but it has failed for so long that the motion is predicted without it."""
-        return self._predictor.model.measured and not self.measured
+        return self._predictor.odometry_fails
 
     def stop_odometry(self) -> None:
         """Predict the motion without odometry, whose readings have stopped, until it agrees with the scans again."""

@@ -17,7 +17,7 @@ from drivers.messages import Scan
 from .deskew import sweep_middle
 
 # Scans that wait, and seconds between the first and the last of them, above both of which odometry is not waited for:
-# until its next reading, scans are processed as if the robot stood. The motion is interpolated in shorter gaps.
+# until its next reading, scans are processed without it. The motion is interpolated in shorter gaps.
 # Origin: chosen, a base that is reconnected answers within seconds; not measured.
 MAX_QUEUED_SCANS, MAX_QUEUED_SECONDS = 20, 10.0
 # Begin and end of the window, in intervals between scans of the first lidar, from the middle of its scan. With lidars
@@ -115,7 +115,7 @@ class ScanQueue:
         if not self._first:
             return None
         scan = self._first[0]
-        if self.is_full:
+        if self.is_full and _end(scan) > covered:
             self._not_waited = covered
         waits = not flush and covered > self._not_waited
         if waits and _end(scan) > covered:

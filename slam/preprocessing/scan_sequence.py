@@ -103,11 +103,11 @@ class ScanSequence(Sequence[ProcessedScan]):
         mask[list(self._features)] = True
         return mask
 
-    def _is_measured(self, row: int) -> bool:
-        place = bisect.bisect_left(self._unmeasured, row)
-        return self._unmeasured[place : place + 1] != [row]
-
     def features(self, row: int) -> ScanFeatures:
         """Return the features of a scan, NO_FEATURES if they are not there."""
         packed = self._features.get(row)
         return NO_FEATURES if packed is None else packed.unpack()
+
+    def _is_measured(self, row: int) -> bool:
+        place = bisect.bisect_left(self._unmeasured, row)
+        return self._unmeasured[place : place + 1] != [row]

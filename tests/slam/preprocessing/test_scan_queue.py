@@ -106,3 +106,16 @@ def test_odometry_is_not_waited_for_too_long(rate: float) -> None:
     queue.add(latest)
     assert queue.take(499.0) is None
     assert queue.take(latest.stamp + latest.duration) is not None
+
+
+def test_readings_that_arrive_in_bursts_are_waited_for() -> None:
+    queue, rate = ScanQueue(), 10.0
+    waiting = scans(0, rate, 0.0, count=round(rate * MAX_QUEUED_SECONDS) + 1)
+    for scan in waiting:
+        queue.add(scan)
+    covered = waiting[-1].stamp + waiting[-1].duration
+    while queue.take(covered) is not None:
+        pass
+    assert not len(queue)
+    queue.add(scans(0, rate, covered, count=1)[0])
+    assert queue.take(covered) is None
