@@ -2,8 +2,8 @@
 
 A step leads from one checked scan to the next. Two things speak for or against it: how well the scan fits the scans
 just before it, and how far the step departs from odometry. Both are added as logarithms of a probability: the fit times
-FIT_WEIGHT, and for odometry a Cauchy distribution, since wheels slip now and then. Steps on which odometry was missing, or
-known to fail, are not judged in this way.
+FIT_WEIGHT, and for odometry a Cauchy distribution, since wheels slip now and then. Steps on which odometry was missing
+or known to fail are not judged in this way.
 """
 
 from __future__ import annotations
