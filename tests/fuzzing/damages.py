@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import io
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import pyarrow as pa
@@ -18,8 +18,8 @@ VALUES: tuple[Any, ...] = (
 WORDS = ("", "x", "nan", "inf", "-1", "0", "1e300", "1" + "0" * 30, "null", '"', "\x00", "1e-300")
 MORE = b"\n1,2\n"
 """What is appended to a text."""
-Damage = tuple[str, bytes]
-"""What was changed, and the damaged content."""
+Damage = tuple[str, Callable[[], bytes]]
+"""What is changed, and a function that returns the damaged content: most damages of a large file are left out."""
 
 
 def damaged_json(data: bytes) -> Iterator[Damage]:
@@ -28,12 +28,20 @@ def damaged_json(data: bytes) -> Iterator[Damage]:
     tree = json.loads(data)
     for keys in places(tree):
         for value in VALUES:
-            changed = copy.deepcopy(tree)
-            inner(changed, keys)[keys[-1]] = value
-            yield f"{keys} = {value!r}"[:200], json.dumps(changed).encode()
-        changed = copy.deepcopy(tree)
-        del inner(changed, keys)[keys[-1]]
-        yield f"{keys} left out", json.dumps(changed).encode()
+            yield f"{keys} = {value!r}"[:200], partial(_json_with, data, keys, value)
+        yield f"{keys} left out", partial(_json_without, data, keys)
+
+
+def _json_with(data: bytes, keys: tuple[Any, ...], value: Any) -> bytes:
+    tree = json.loads(data)
+    inner(tree, keys)[keys[-1]] = value
+    return json.dumps(tree).encode()
+
+
+def _json_without(data: bytes, keys: tuple[Any, ...]) -> bytes:
+    tree = json.loads(data)
+    del inner(tree, keys)[keys[-1]]
+    return json.dumps(tree).encode()
 
 
 def places(tree: Any, before: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -62,16 +70,21 @@ def damaged_rows(data: bytes) -> Iterator[Damage]:
         cells = lines[row].split(separator)
         for column in range(len(cells)):
             for word in WORDS:
-                yield from _with_cells(lines, row, separator, [*cells[:column], word, *cells[column + 1 :]])
-            yield from _with_cells(lines, row, separator, [*cells[:column], *cells[column + 1 :]])
-            yield from _with_cells(lines, row, separator, [*cells[: column + 1], *cells[column:]])
-        yield f"line {row} left out", "\n".join([*lines[:row], *lines[row + 1 :], ""]).encode()
-        yield f"line {row} twice", "\n".join([*lines[: row + 1], *lines[row:], ""]).encode()
+                yield _with_cells(lines, row, separator, [*cells[:column], word, *cells[column + 1 :]])
+            yield _with_cells(lines, row, separator, [*cells[:column], *cells[column + 1 :]])
+            yield _with_cells(lines, row, separator, [*cells[: column + 1], *cells[column:]])
+        yield f"line {row} left out", partial(_with_lines, lines, row)
+        yield f"line {row} twice", partial(_with_lines, lines, row, lines[row], lines[row])
 
 
-def _with_cells(lines: list[str], row: int, separator: str, cells: list[str]) -> Iterator[Damage]:
+def _with_cells(lines: list[str], row: int, separator: str, cells: list[str]) -> Damage:
     line = separator.join(cells)
-    yield f"line {row}: {line}"[:200], "\n".join([*lines[:row], line, *lines[row + 1 :], ""]).encode()
+    return f"line {row}: {line}"[:200], partial(_with_lines, lines, row, line)
+
+
+def _with_lines(lines: list[str], row: int, *instead: str) -> bytes:
+    """Return text with some lines, or none, instead of one."""
+    return "\n".join([*lines[:row], *instead, *lines[row + 1 :], ""]).encode()
 
 
 def damaged_settings(data: bytes) -> Iterator[Damage]:
@@ -80,19 +93,24 @@ def damaged_settings(data: bytes) -> Iterator[Damage]:
     text = data.decode()
     for place in re.finditer(r"(?<=[=:])[ \t]*\S[^\n]*", text):
         for word in (*WORDS, "[]", "{}", "true", "[1, 2]", "nan, nan", "[nan, 0, 0]"):
-            yield f"{place[0].strip()} -> {word}"[:200], f"{text[: place.start()]} {word}{text[place.end() :]}".encode()
+            yield f"{place[0].strip()} -> {word}"[:200], partial(_with_text, text, place.span(), f" {word}")
     for line in re.finditer(r"[^\n]+\n", text):
-        yield f"{line[0].strip()} left out"[:200], f"{text[: line.start()]}{text[line.end() :]}".encode()
+        yield f"{line[0].strip()} left out"[:200], partial(_with_text, text, line.span(), "")
+
+
+def _with_text(text: str, span: tuple[int, int], instead: str) -> bytes:
+    """Return a text with another one between two positions."""
+    return f"{text[: span[0]]}{instead}{text[span[1] :]}".encode()
 
 
 def damaged_ends(data: bytes) -> Iterator[Damage]:
     """Yield content that is empty, cut off, longer, binary or of another encoding."""
-    yield "empty", b""
+    yield "empty", bytes
     for share in (0.01, 0.5, 0.99):
-        yield f"cut off after {share:g}", data[: int(share * len(data))]
-    yield "more", data + MORE
-    yield "binary", bytes(range(256))
-    yield "UTF-16", data.decode(errors="replace").encode("utf-16")
+        yield f"cut off after {share:g}", partial(bytes, data[: int(share * len(data))])
+    yield "more", lambda: data + MORE
+    yield "binary", lambda: bytes(range(256))
+    yield "UTF-16", lambda: data.decode(errors="replace").encode("utf-16")
 
 
 def damaged_attributes(data: bytes) -> Iterator[Damage]:
@@ -103,8 +121,7 @@ def damaged_attributes(data: bytes) -> Iterator[Damage]:
     ends = {match[1]: match for match in found} | {f"{match[1]} first": match for match in reversed(found)}
     for match in ends.values():
         for word in WORDS:
-            changed = f"{text[: match.start(2)]}{word}{text[match.end(2) :]}".encode()
-            yield f"{match[0]} -> {word}"[:200], changed
+            yield f"{match[0]} -> {word}"[:200], partial(_with_text, text, match.span(2), word)
 
 
 def damaged_lines(data: bytes) -> Iterator[Damage]:
@@ -113,8 +130,8 @@ def damaged_lines(data: bytes) -> Iterator[Damage]:
     lines = data.decode().splitlines()
     for row, line in enumerate(lines):
         for word in WORDS:
-            yield f"line {row}: {line} -> {word}"[:200], "\n".join([*lines[:row], word, *lines[row + 1 :], ""]).encode()
-        yield f"line {row} left out", "\n".join([*lines[:row], *lines[row + 1 :], ""]).encode()
+            yield f"line {row}: {line} -> {word}"[:200], partial(_with_lines, lines, row, word)
+        yield f"line {row} left out", partial(_with_lines, lines, row)
 
 
 def damaged_table(data: bytes) -> Iterator[Damage]:
@@ -124,16 +141,32 @@ def damaged_table(data: bytes) -> Iterator[Damage]:
     rows = list(range(table.num_rows))
     for name, chosen in (("empty table", []), ("first row left out", rows[1:]), ("last row left out", rows[:-1]),
                          ("first row twice", rows[:1] + rows), ("rows reversed", rows[::-1])):  # fmt: skip
-        yield name, _written(table.take(pa.array(chosen, pa.int64())))
+        yield name, partial(_with_rows, table, chosen)
     for index, field in enumerate(table.schema):
-        yield f"{field.name} left out", _written(table.remove_column(index))
-        values = table.column(index).to_pylist()
-        words = pa.array([str(value) for value in values])
-        yield f"{field.name} as text", _written(table.set_column(index, field.with_type(words.type), words))
+        yield f"{field.name} left out", partial(_without_column, table, index)
+        yield f"{field.name} as text", partial(_with_text_column, table, index)
         for row in sorted({0, len(rows) - 1} & set(rows)):
-            for value in _cells(values[row], field.type):
-                changed = pa.array([*values[:row], value, *values[row + 1 :]], field.type)
-                yield f"{field.name}[{row}] = {value}"[:200], _written(table.set_column(index, field, changed))
+            for value in _cells(table.column(index)[row].as_py(), field.type):
+                yield f"{field.name}[{row}] = {value}"[:200], partial(_with_value, table, index, row, value)
+
+
+def _with_rows(table: pa.Table, rows: list[int]) -> bytes:
+    return _written(table.take(pa.array(rows, pa.int64())))
+
+
+def _without_column(table: pa.Table, index: int) -> bytes:
+    return _written(table.remove_column(index))
+
+
+def _with_text_column(table: pa.Table, index: int) -> bytes:
+    words = pa.array([str(value) for value in table.column(index).to_pylist()])
+    return _written(table.set_column(index, table.field(index).with_type(words.type), words))
+
+
+def _with_value(table: pa.Table, index: int, row: int, value: Any) -> bytes:
+    values, field = table.column(index).to_pylist(), table.field(index)
+    changed = pa.array([*values[:row], value, *values[row + 1 :]], field.type)
+    return _written(table.set_column(index, field, changed))
 
 
 def _cells(value: Any, kind: pa.DataType) -> Iterator[Any]:

@@ -191,7 +191,7 @@ def failures(folder: Path, sweep: Sweep, step: int = 1) -> Iterator[str]:
             number += 1
             if number % step:
                 continue
-            file.write_bytes(content)
+            file.write_bytes(content())
             try:
                 failure = failure_of(folder, sweep.named or file.name, command)
             finally:
