@@ -150,7 +150,7 @@ def test_a_saved_state_can_be_continued_and_does_not_change_the_run(
 
 def test_keeping_all_features_does_not_change_the_result() -> None:
     """`wclm run` keeps them, `wclm live` does not; the trajectories are identical."""
-    runs, laps = [], list(Simulation("room", seed=1, duration=80.0, lidar=LidarModel(beams=180, rate=5.0)))  # two
+    runs, laps = [], list(Simulation("room", seed=1, duration=80.0, lidar=LidarModel(beams=180, rate=2.5)))  # two
     for keep_all_features in (False, True):
         slam = Slam(keep_all_features=keep_all_features)
         for message in laps:

@@ -60,7 +60,8 @@ def largest_error(messages: Iterable[Message], truth: Trajectory) -> float:
 @pytest.mark.parametrize("rate", [10.0, 40.0])
 def test_the_way_along_a_corridor_is_interpolated_over_a_gap_of_odometry(rate: float) -> None:
     """The wheels count on while their readings are lost, as on a disturbed connection."""
-    drive = list(Simulation("bare_corridor", seed=2, duration=16.0, lidar=replace(SHORT_SIGHTED, rate=rate)))
+    whole = Simulation("bare_corridor", seed=2, duration=16.0, lidar=replace(SHORT_SIGHTED, rate=rate))
+    drive = [message for message in whole if message.stamp > 4.0]
     true = [message for message in drive if isinstance(message, GroundTruth)]
     truth = Trajectory(np.array([one.stamp for one in true]), np.array([one.pose for one in true]))
     with_gap = [m for m in drive if not (isinstance(m, Odometry) and 8.0 < m.stamp < 12.5)]

@@ -137,7 +137,7 @@ def test_a_robot_on_patrol_makes_hardly_any_more_keyframes() -> None:
     """Where no keyframes are made, driving on counts: keyframes of many laps ago are of an earlier visit."""
     lap = Simulation("room", seed=0).trajectory.duration
     slam, keyframes, laps = Slam(), list[int](), 7
-    for message in Simulation("room", seed=0, duration=laps * lap, lidar=LidarModel(beams=180, rate=RATE)):
+    for message in Simulation("room", seed=0, duration=laps * lap, lidar=LidarModel(beams=180, rate=2.5)):
         if isinstance(message, Odometry | Scan):
             slam.add(message)
             if message.stamp > (len(keyframes) + 1) * lap:

@@ -2,16 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-import drivers
 from drivers import se2
 from drivers.messages import GroundTruth, Message
-from drivers.simulation import LidarModel, Simulation
+from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulation
 from drivers.simulation.world import load_world
 from slam import Slam
 from slam.config import Config, LoopClosureConfig, config_to_toml
@@ -193,12 +191,12 @@ def grid_map(messages: Sequence[Message], path: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["drawing", "grid map"])
-def test_a_robot_localises_in_a_plan_from_anywhere(drive: list[Message], kind: str, tmp_path: Path) -> None:
+def test_a_robot_localises_in_a_plan_from_anywhere(sparse_drive: list[Message], kind: str, tmp_path: Path) -> None:
     plan, begin, end = office(), 5.0, 12.0
     if kind == "grid map":
         another_drive = list(Simulation("office", seed=3, duration=30.0, lidar=FEW_BEAMS))
         plan, end = build_plan_map(read_plan(grid_map(another_drive, tmp_path / "map")), SIGMAS), 25.0
-    messages = [message for message in drive if begin < message.stamp < end]
+    messages = [message for message in sparse_drive if begin < message.stamp < end]
     finished = run(messages, Slam(resumed=plan_session(plan, Config()), frozen=True))
     assert finished.stamps[0] < begin + 1.0
     assert errors(finished, messages).max() < (0.02 if kind == "drawing" else 0.05)
@@ -212,8 +210,8 @@ def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns(
     segments = load_world("square").segments.reshape(-1, 2, 2)
     shown = segments[segments[..., 1].max(axis=1) < 5.0]
     plan = build_plan_map(Plan("square", shown, np.zeros(len(shown), dtype=bool), 1e-3), SIGMAS)
-    source = drivers.open("sim:square?seed=2&lidar=short&odometry=bad")
-    messages = list(takewhile(lambda message: message.stamp < 135.0, source))
+    lidar, wheels = replace(LIDAR_MODELS["short"], rate=2.5), WHEEL_MODELS["bad"]
+    messages = list(Simulation("square", seed=2, duration=135.0, lidar=lidar, wheels=wheels))
     start = next(message.pose for message in messages if isinstance(message, GroundTruth))
     slam = Slam(Config(loop_closure=LoopClosureConfig(enabled=False)), plan=plan, start=start)
     drift = 0.0

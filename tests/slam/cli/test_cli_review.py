@@ -25,7 +25,7 @@ from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
 from slam.cli.app import app
-from slam.events import Event
+from slam.events import Event, KeyframeAdded
 from slam.io.output_dir import REVIEW, SUMMARY
 from slam.visualisation.rerun_log import rrd_writer
 from slam.visualisation.rerun_log.combined_log import write_combined_log
@@ -214,12 +214,14 @@ def test_a_truncated_log_opens_up_to_its_end(
     corridor: tuple[Path, list[Event]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(rrd_writer, "FLUSH_PERIOD", 0.02)  # several chunks within one second
-    whole = write(tmp_path / "whole.rrd", corridor[1]).read_bytes()
+    events = corridor[1][: len(corridor[1]) // 2]
+    keyframes = sum(isinstance(event, KeyframeAdded) for event in events)
+    whole = write(tmp_path / "whole.rrd", events).read_bytes()
     for share in (0.5, 0.77):  # within a chunk
         cut = tmp_path / "cut.rrd"
         cut.write_bytes(whole[: int(share * len(whole))])
         write_combined_log([find_log(cut)], ["cut"], tmp_path / "ready.rrd")
-        assert len(keyframes_in(tmp_path / "ready.rrd")) > 0.3 * share * 136
+        assert len(keyframes_in(tmp_path / "ready.rrd")) > 0.3 * share * keyframes
 
 
 def test_the_log_of_a_killed_run_is_found_and_opens(wclm: Any, tmp_path: Path) -> None:
