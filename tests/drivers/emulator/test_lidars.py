@@ -78,7 +78,7 @@ def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: 
     robot = bench(lidar=lidar)
     robot.go(1.0)  # the robot stands still at first
     host, decoder, quantum = started(robot, lidar, mode)
-    robot.go(2.0)
+    robot.go(1.5)
     measurements, stamps = measured(host, decoder)
     assert decoder.counters.checksum_failures == 0
     samples = measurements.samples
@@ -279,7 +279,7 @@ def test_an_a2_needs_pwm_to_turn(bench: MakeBench) -> None:
 def test_an_internal_error_lasts_until_a_reset(bench: MakeBench) -> None:
     robot = bench(lidar="rplidar-s1")
     host, _, _ = started(robot, "rplidar-s1", "DenseBoost")
-    robot.go(1.2)
+    robot.go(1.5)
     robot.emulator.lidar.device.inject_error(robot.time)
     robot.go(0.1)
     for status in (HealthStatus.ERROR, HealthStatus.GOOD):

@@ -37,7 +37,7 @@ def measured() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def times() -> dict[str, Any]:
-    return measure_times(rounds=5)  # in a single round, another process may have interrupted any call
+    return measure_times(rounds=3)  # in a single round, another process may have interrupted any call
 
 
 def numbers(tree: Any) -> Iterator[float]:

@@ -181,7 +181,7 @@ def test_late_readings_of_odometry_are_no_failure() -> None:
 
 
 def test_no_notice_without_a_failure() -> None:
-    _, errors, noticed = drive(FailingOdometry(1e6, 2e6, makes_up=False))
+    _, errors, noticed = drive(Simulation("office", seed=1, duration=20.0, lidar=LidarModel(360, 5.0)))
     assert errors[:, 0].max() < 0.03
     assert noticed == []
 
