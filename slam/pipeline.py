@@ -40,8 +40,6 @@ from .run_start import continued_state, new_state, start_journal, start_preproce
 if TYPE_CHECKING:
     from .io.sessions import StoredSession
 
-ODOMETRY_JUMPED = "odometry jumps farther than a robot can drive, and goes on from where it was"
-
 
 class Slam:
     """2-D SLAM with walls and corners: add messages in time order, read the pose at any time, then finish.
@@ -124,8 +122,8 @@ class Slam:
         for measurement in self._motions.measurements(message):
             if isinstance(measurement, Odometry) and not self._has_odometry:
                 self._start(measurement)
-            if isinstance(measurement, Odometry) and self._motions.jumped:
-                self._publisher.publish(Notice(measurement.stamp, ODOMETRY_JUMPED))
+            if isinstance(measurement, Odometry) and self._motions.jump is not None:
+                self._publisher.publish(Notice(measurement.stamp, self._motions.jump))
             self._preprocessor.add(measurement)
             while (scan := self._preprocessor.next_scan()) is not None:
                 self._process_scan(scan)

@@ -1,48 +1,93 @@
 """Odometry without jumps that no robot can make.
 
-A base that starts again counts from another pose, and a damaged reading may be anywhere. Tracking, which compares
+A base that starts again counts from zero. What the robot did meanwhile is not known: it may have stood, or have been
+carried. So no motion is taken, as in both cases the wheels did not turn; if scans show another place then, it was
+carried. A damaged reading may be anywhere, and the next one is where it would be without. Tracking, which compares
 odometry with the scans, handles slips. But a motion of kilometres exceeds what a map and its covariances can represent.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry
 
+from .history import wheel_travel
+
 # Metres, and metres per second, from which a motion between two readings is a jump. Origin: chosen, more than any
 # wheeled robot drives, and less than what a map cannot represent.
 MIN_JUMP, MIN_JUMP_SPEED = 100.0, 100.0
 # Metres from which a motion is a jump however long it took: it says nothing about the robot then. Origin: chosen.
 MAX_UNSEEN = 1000.0
+# Metres of wheel travel from which a motion to zero is a new start of the base: the three coordinates of a robot that
+# drives are never all zero. Origin: chosen, above the jitter of a robot that stands where its base has started.
+MIN_RESTART = 0.1
+
+JUMPED = "odometry jumps farther than a robot can drive, and goes on from where it was"
+RESTARTED = "odometry starts again at zero, and goes on from where it was"
 
 
 class ContinuousOdometry:
     """Odometry without its jumps: after a jump it goes on from the reading before, as if the robot had stood meanwhile.
 
-    jumped  True if the last reading came after a jump
+    jump  what the last reading came after, as text, if that was a jump
     """
 
     def __init__(self) -> None:
-        self.jumped = False
-        self._last: Odometry | None = None
-        self._offset: se2.Pose | None = None  # of the readings' frame before all jumps; None before the first
+        self.jump: str | None = None
+        self._last: _Reading | None = None
+        self._before_jump: _Reading | None = None  # while no reading since the jump differs from the first one
 
     def continued(self, reading: Odometry) -> Odometry:
         """Return the next reading with its pose in the frame of the first one."""
-        pose = reading.pose if self._offset is None else se2.compose(self._offset, reading.pose)
-        last = self._last
-        self.jumped = last is not None and _is_jump(last, pose, reading.stamp)
-        if last is not None and self.jumped:
-            self._offset, pose = se2.compose(last.pose, se2.inverse(reading.pose)), last.pose
-        self._last = reading if pose is reading.pose else replace(reading, pose=pose)
-        return self._last
+        last, before = self._last, self._before_jump
+        self.jump = None if last is None else _jump(last.read, reading)
+        if last is None:
+            self._last = _Reading(reading, reading)
+            return reading
+        if before is not None and not np.array_equal(reading.pose, last.read.pose):
+            self._before_jump = None
+        if before is not None and _goes_on_from(before.read, last.read, reading):
+            self._last = before.followed_by(reading)  # what was read since then was damaged
+        elif self.jump is not None:
+            self._last, self._before_jump = _Reading(reading, replace(reading, pose=last.used.pose)), last
+        else:
+            self._last = last.followed_by(reading)
+        return self._last.used
 
 
-def _is_jump(last: Odometry, pose: se2.Pose, stamp: float) -> bool:
-    """Return True if a robot can hardly have moved from a reading to `pose` (3,) at `stamp` seconds."""
-    distance = float(np.hypot(*(pose - last.pose)[:2]))
-    return distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * (stamp - last.stamp))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reading:
+    """A reading as it was read, and as it is used: in the frame of the first one."""
+
+    read: Odometry
+    used: Odometry
+
+    def followed_by(self, reading: Odometry) -> _Reading:
+        """Return the next reading, which goes on from this one."""
+        if self.used is self.read:
+            return _Reading(reading, reading)
+        return _Reading(
+            reading, replace(reading, pose=se2.compose(self.used.pose, se2.between(self.read.pose, reading.pose)))
+        )
+
+
+def _goes_on_from(before: Odometry, damaged: Odometry, reading: Odometry) -> bool:
+    """Return True if a reading goes on from the one before a jump, and not from the one after it."""
+    return _jump(before, reading) is None and _travel(before, reading) < _travel(damaged, reading)
+
+
+def _travel(first: Odometry, second: Odometry) -> float:
+    """Return the metres that the wheels roll between two readings."""
+    return float(wheel_travel(se2.between(first.pose, second.pose)))
+
+
+def _jump(last: Odometry, reading: Odometry) -> str | None:
+    """Return why a robot can hardly have moved from a reading to the next one, as text; None if it can."""
+    distance = float(np.hypot(*(reading.pose - last.pose)[:2]))
+    if distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * (reading.stamp - last.stamp)):
+        return JUMPED
+    return RESTARTED if not reading.pose.any() and _travel(last, reading) > MIN_RESTART else None

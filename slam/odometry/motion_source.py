@@ -34,9 +34,9 @@ class MotionSource:
         return self.predicted or self._gyroscope.present
 
     @property
-    def jumped(self) -> bool:
-        """True if the last reading of the wheels came after a jump, which is left out."""
-        return self._readings.jumped
+    def jump(self) -> str | None:
+        """What the last reading of the wheels came after, as text, if that was a jump, which is left out."""
+        return self._readings.jump
 
     def measurements(self, message: Odometry | Scan | YawRate) -> Iterator[Odometry | Scan]:
         """Yield the odometry and the scans to use when a message arrives."""

@@ -1,4 +1,4 @@
-"""Odometry that jumps farther than any robot can move goes on from where it was, and does not spoil the map."""
+"""Odometry that jumps farther than any robot can move, or starts again at zero, goes on from where it was."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -9,16 +9,26 @@ import pytest
 
 from drivers import se2
 from drivers.messages import Message, Odometry
-from drivers.simulation import LidarModel, Simulation
+from drivers.simulation import LidarModel, Simulation, load_world
 from slam import Slam
 from slam.cli.notice_collector import NoticeCollector
 from slam.config import Config, config_to_toml
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
-from slam.odometry.continuity import MIN_JUMP, ContinuousOdometry
+from slam.localisation.state import LocalisationStatus
+from slam.odometry.continuity import JUMPED, MIN_JUMP, RESTARTED, ContinuousOdometry
 from slam.visualisation.report_page.findings import group_warnings
 
 FAR = np.array([2.0 * MIN_JUMP, -1e8, 1.0])
+
+
+def mapped(messages: Sequence[Message], notices: NoticeCollector) -> Slam:
+    """Return a finished run with these messages."""
+    slam = Slam(sinks=[notices])
+    for message in messages:
+        slam.add(message)
+    slam.finish()
+    return slam
 
 
 def readings(poses: Sequence[Sequence[float]]) -> list[Odometry]:
@@ -38,7 +48,7 @@ def test_a_motion_of_kilometres_in_a_gap_is_a_jump() -> None:
     source = ContinuousOdometry()
     source.continued(Odometry(0.0, np.zeros(3)))
     np.testing.assert_array_equal(source.continued(Odometry(1000.0, np.array([5e3, 0.0, 0.0]))).pose, np.zeros(3))
-    assert source.jumped
+    assert source.jump == JUMPED
 
 
 def test_motions_after_a_jump_are_those_of_the_readings() -> None:
@@ -50,15 +60,30 @@ def test_motions_after_a_jump_are_those_of_the_readings() -> None:
     np.testing.assert_allclose(se2.between(poses[2], poses[3]), se2.between(driven[2], driven[3]), atol=1e-6)
 
 
+def test_a_base_that_starts_again_goes_on_from_where_it_was() -> None:
+    source = ContinuousOdometry()
+    driven = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.2], [0.9, 0.3, 0.4]]
+    poses = [source.continued(reading).pose for reading in readings([*driven, [0, 0, 0]])]
+    np.testing.assert_array_equal(poses[3], driven[2])
+    assert source.jump == RESTARTED
+    after = source.continued(Odometry(0.4, np.array([0.2, 0.0, 0.1]))).pose
+    np.testing.assert_allclose(se2.between(poses[3], after), [0.2, 0.0, 0.1], atol=1e-12)
+    assert source.jump is None
+
+
+@pytest.mark.parametrize("damaged", [FAR, np.zeros(3)])
+@pytest.mark.parametrize("count", [1, 5])
+def test_damaged_readings_do_not_change_the_ones_after_them(damaged: se2.Pose, count: int) -> None:
+    source = ContinuousOdometry()
+    driven = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.2], [5.5, 0.1, 0.3], [6.0, 0.2, 0.4]])
+    read = [*driven[:2], *[damaged] * count, *driven[2:]]
+    used = [source.continued(reading).pose for reading in readings(read)]
+    np.testing.assert_allclose(used[2 : 2 + count], np.tile(driven[1], (count, 1)), atol=1e-12)
+    np.testing.assert_allclose(used[2 + count :], driven[2:], atol=1e-12)
+
+
 @pytest.mark.parametrize("jumps", [lambda k: k == 50, lambda k: k >= 50, lambda k: k % 20 == 0])
 def test_a_map_is_that_of_a_drive_without_jumps(tmp_path: Path, jumps: Callable[[int], bool]) -> None:
-    def mapped(messages: Sequence[Message], notices: NoticeCollector) -> Slam:
-        slam = Slam(sinks=[notices])
-        for message in messages:
-            slam.add(message)
-        slam.finish()
-        return slam
-
     drive = list(Simulation("room", seed=3, duration=5.0, lidar=LidarModel(beams=180, rate=5.0)))
     count, spoiled, stamps, before = 0, list[Message](), [], False
     for message in drive:
@@ -71,9 +96,19 @@ def test_a_map_is_that_of_a_drive_without_jumps(tmp_path: Path, jumps: Callable[
     notices, usual = NoticeCollector(), NoticeCollector()
     slam = mapped(spoiled, notices)
     np.testing.assert_allclose(slam.pose, mapped(drive, usual).pose, atol=0.01)
-    jump = "odometry jumps farther than a robot can drive, and goes on from where it was"
-    assert group_warnings(notices.texts)[jump] == pytest.approx(stamps, abs=0.005)
-    assert jump not in group_warnings(usual.texts)
+    assert group_warnings(notices.texts)[JUMPED] == pytest.approx(stamps, abs=0.005)
+    assert JUMPED not in group_warnings(usual.texts)
     (tmp_path / CONFIG).write_text(config_to_toml(Config()))
     write_session(tmp_path, slam.session)
     assert read_session(tmp_path).slam_state.mapper.keyframe_count > 1
+
+
+def test_a_robot_that_was_carried_while_its_base_was_off_is_lost() -> None:
+    room, lidar = load_world("room"), LidarModel(beams=180, rate=5.0)
+    elsewhere = replace(room, waypoints=room.waypoints[2:0:-1])
+    first = Simulation(room, seed=3, duration=5.0, lidar=lidar)
+    second = Simulation(elsewhere, seed=4, duration=2.0, lidar=lidar)
+    notices = NoticeCollector()
+    slam = mapped([*first, *(replace(message, stamp=message.stamp + 60.0) for message in second)], notices)
+    assert slam.state.status is LocalisationStatus.LOST
+    assert group_warnings(notices.texts)[RESTARTED] == [60.0]
