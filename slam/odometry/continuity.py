@@ -22,6 +22,8 @@ from .history import wheel_travel
 MIN_JUMP, MIN_JUMP_SPEED = 100.0, 100.0
 # Metres from which a motion is a jump however long it took: it says nothing about the robot then. Origin: chosen.
 MAX_UNSEEN = 1000.0
+# Metres and radians below which a coordinate is zero. Origin: numerical, of poses that are composed of transforms.
+ZERO = 1e-9
 # Metres of wheel travel from which a motion to zero is a new start of the base: the three coordinates of a robot that
 # drives are never all zero. Origin: chosen, above the jitter of a robot that stands where its base has started.
 MIN_RESTART = 0.1
@@ -90,4 +92,5 @@ def _jump(last: Odometry, reading: Odometry) -> str | None:
     distance = float(np.hypot(*(reading.pose - last.pose)[:2]))
     if distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * (reading.stamp - last.stamp)):
         return JUMPED
-    return RESTARTED if not reading.pose.any() and _travel(last, reading) > MIN_RESTART else None
+    is_zero = bool((np.abs(reading.pose) < ZERO).all())
+    return RESTARTED if is_zero and _travel(last, reading) > MIN_RESTART else None
