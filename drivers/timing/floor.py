@@ -12,6 +12,10 @@ it shows. With the probabilities of both outcomes, for the floor (F) and for any
     n log(P(support | F) / P(support | O)) + m log(P(contradiction | F) / P(contradiction | O)) > log(lines / p)
 
 for n scans that support and m that contradict it; p is the probability of an error in any of the lines that are tried.
+
+A wall that the robot drives along is fixed in the lidar's frame, too, and if odometry turns by mistake, it seems to be
+where the scan before saw through. So a scan says nothing of a line if the returns on the opposite side of the lidar,
+where this floor cannot be, agree better with the scan before if the robot has not moved.
 """
 
 from __future__ import annotations
@@ -204,11 +208,15 @@ def _logs(ranges, angles):  # type: ignore[no-untyped-def]
 @compiled
 def _judge(logs, before, motion, returns, supports, contradictions):  # type: ignore[no-untyped-def]
     """Count a scan for or against each line (BINS / STRIDE, DISTANCES), and add the returns on those it supports."""
-    through = np.zeros(BINS, dtype=np.bool_)
-    _see_through(logs, before, motion, through)
+    through, agree = np.zeros(BINS, dtype=np.bool_), np.zeros(BINS, dtype=np.bool_)
+    _compare_views(logs, before, motion, through, agree)
+    ignored, agree_unmoved = np.zeros(BINS, dtype=np.bool_), np.zeros(BINS, dtype=np.bool_)
+    _compare_views(logs, before, np.zeros(3), ignored, agree_unmoved)
     supported, contradicted = np.zeros(supports.shape, dtype=np.bool_), np.zeros(supports.shape, dtype=np.bool_)
     counts, moved = np.empty(DISTANCES + 1), np.empty(DISTANCES + 1)
     for direction in range(len(supports)):
+        if _turn_is_wrong(logs, agree, agree_unmoved, direction):
+            continue
         _count_returns(logs, through, direction, counts, moved)
         _compare(counts, moved, returns[direction], supported[direction], contradicted[direction])
     for direction in range(len(supports)):
@@ -225,18 +233,38 @@ def _judge(logs, before, motion, returns, supports, contradictions):  # type: ig
 
 
 @inlined
-def _see_through(logs, before, motion, through):  # type: ignore[no-untyped-def]
-    """Mark (BINS,) which returns lie in space that the scan before saw through; `motion` (3,) of the lidar since."""
+def _compare_views(logs, before, motion, through, agree):  # type: ignore[no-untyped-def]
+    """Mark (BINS,) which returns lie in space that the scan before saw through, and which where it saw something.
+
+    motion  (3,) of the lidar since the scan before
+    """
     for k in range(BINS):
         if math.isnan(logs[k]):
             continue
         bearing, distance = (k + 0.5) * 2.0 * math.pi / BINS + motion[2], math.exp(logs[k])
         x, y = motion[0] + distance * math.cos(bearing), motion[1] + distance * math.sin(bearing)
-        middle, nearest = math.floor(math.atan2(y, x) / (2.0 * math.pi) * BINS), np.inf
+        middle, nearest, farthest = math.floor(math.atan2(y, x) / (2.0 * math.pi) * BINS), np.inf, -np.inf
         for i in range(middle - 1, middle + 2):
             if before[i % BINS] < nearest:
                 nearest = before[i % BINS]
-        through[k] = nearest < np.inf and math.hypot(x, y) < (1.0 - MARGIN[0]) * math.exp(nearest) - MARGIN[1]
+            if before[i % BINS] > farthest:
+                farthest = before[i % BINS]
+        if nearest < np.inf:
+            moved_to = math.hypot(x, y)
+            through[k] = moved_to < (1.0 - MARGIN[0]) * math.exp(nearest) - MARGIN[1]
+            agree[k] = not through[k] and moved_to < (1.0 + MARGIN[0]) * math.exp(farthest) + MARGIN[1]
+
+
+@inlined
+def _turn_is_wrong(logs, agree, agree_unmoved, direction):  # type: ignore[no-untyped-def]
+    """Return True if the returns opposite to a direction agree better with the scan before without any motion."""
+    moved, unmoved = 0, 0
+    for offset in range(BINS // 4 + 1, BINS - BINS // 4):
+        k = (STRIDE * direction + offset) % BINS
+        if logs[k] > math.log(MIN_DISTANCE):  # false for NaN; nearer, parts of the robot may be in view
+            moved += agree[k]
+            unmoved += agree_unmoved[k]
+    return unmoved > moved
 
 
 @inlined

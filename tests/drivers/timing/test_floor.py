@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,19 @@ def test_the_wall_of_a_round_room_that_is_followed_is_no_floor() -> None:
     headings = np.arange(0.0, 4.0 * np.pi, np.radians(2.0))
     around = np.column_stack([3.0 * np.sin(headings), -3.0 * np.cos(headings), headings])
     assert found(round_room(4.5), around) is None
+
+
+@pytest.mark.parametrize("turn", [1.0, -4.0, 60.0])
+def test_the_wall_of_a_corridor_is_no_floor_though_odometry_turns(turn: float) -> None:
+    """As with a broken encoder: radians per metre."""
+    way = np.arange(-15.0, 15.0, 0.08)
+    detector = FloorDetector()
+    for message in drive(room(40.0, 2.0), np.column_stack([way, np.zeros((len(way), 2))])):
+        if isinstance(message, Odometry):
+            turned = turn * (message.pose[0] + 15.0)
+            message = replace(message, pose=message.pose + np.array([0.0, 0.0, turned]))
+        detector.add(message)
+    assert detector.found() is None
 
 
 def test_no_returns_that_are_stated_as_a_range_are_no_floor() -> None:
