@@ -176,7 +176,7 @@ def run(
 
     recording  path, or a specification like `sim:office?seed=3`: see `drivers.open`
     config     settings, also of the topics of the lidars; a delay of the lidar that the recording shows is compensated
-               if none is set, and a recording without odometry, or with one that never moves, is mapped without it
+               if none is set, and a recording without odometry, or with one that is of no use, is mapped without it
     refine     refine the whole map offline: more accurate, and slower
     sinks      receive the events of the pipeline
 

@@ -181,6 +181,11 @@ class RecordingReader(ABC):
         return OdometrySpeed.of_path(self._turns.odometry[:, 0], self._turns.positions).describe()
 
     @cached_property
+    def doubt_of_odometry_turns(self) -> str | None:
+        """What is wrong with the turns of odometry, as one line of text, if it does not measure those of the robot."""
+        return None if self.odometry_turns is None else self.odometry_turns.reason_to_ignore()
+
+    @cached_property
     def delay(self) -> Delay | None:
         """Delay of the lidar's stamps against odometry's; None if the recording does not determine it."""
         from ..timing.delay import estimate_delay
@@ -196,8 +201,11 @@ class RecordingReader(ABC):
 
     @property
     def floor(self) -> Floor | None:
-        """The floor that the lidar sees, as it is not level; None if the recording shows none."""
-        return self._turns.floor
+        """The floor that the lidar sees, as it is not level; None if the recording shows none.
+
+        None also if odometry does not measure the turns of the robot, by which the floor is distinguished from walls.
+        """
+        return None if self.doubt_of_odometry_turns is not None else self._turns.floor
 
     @cached_property
     def _turns(self) -> Turns:

@@ -21,13 +21,19 @@ class OdometryTurns:
             return None
         return f"scans of a lidar that is upside down, since odometry measures {self._turns}; mirrored"
 
+    def reason_to_ignore(self) -> str | None:
+        """Return why odometry is of no use, as a line of text; None if it measures the turns of the robot."""
+        if self._used is not None:
+            return None
+        return f"odometry does not measure the turns of the robot: it measures {self._turns}"
+
     def doubts(self, *, corrected: bool) -> list[str]:
         """Return what is probably wrong with odometry or the lidar's mount, as lines of text.
 
         corrected  if the scans are mirrored when they are read
         """
-        if self._used is None:
-            return [f"odometry does not measure the turns of the robot: it measures {self._turns}"]
+        if (reason := self.reason_to_ignore()) is not None:
+            return [reason]
         if self._used == MIRRORED and not corrected:
             return [
                 f"odometry measures {self._turns}: the lidar is upside down, which its mount does not state, or "

@@ -43,7 +43,10 @@ def reason_without_odometry(source: Source) -> str | None:
         return "no odometry in it"
     if reader is not None and reader.odometry_never_moves:
         return "odometry never moves in it, though the scans change"
-    return None if reader is None else reader.doubt_of_odometry_unit
+    if reader is None:
+        return None
+    of_turns = reader.doubt_of_odometry_turns if reader.gyroscope_scale is None else None  # which replaces the turns
+    return reader.doubt_of_odometry_unit or of_turns
 
 
 def open_source(recording: str | Path, config: Config) -> Source:

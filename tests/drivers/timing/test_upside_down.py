@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import drivers
-from drivers.messages import GroundTruth, Message, Odometry, Scan, mirrored
+from drivers import se2
+from drivers.messages import GroundTruth, Message, Odometry, Scan, YawRate, mirrored
 from drivers.recordings.mcap import McapWriter
 from drivers.timing.turn_scale import TurnScale
 from drivers.timing.turns import Turns
 from drivers.timing.upside_down import OdometryTurns, compare_odometry_turns
 from slam.io.recording_timing import RecordingTiming
+from slam.io.recordings import reason_without_odometry
 
 from .drives import office_drive
 
@@ -79,6 +81,23 @@ def test_odometry_that_hardly_turns_is_doubted() -> None:
     assert found is not None
     assert found.reason_to_mirror() is None
     assert "does not measure the turns" in "".join(found.doubts(corrected=False))
+
+
+@pytest.mark.parametrize("gyroscope", [False, True])
+def test_odometry_with_turns_in_another_unit_is_ignored_unless_a_gyroscope_replaces_them(
+    tmp_path: Path, gyroscope: bool
+) -> None:
+    messages, before = list[Message](), np.zeros(3)
+    for message in office_drive():
+        if isinstance(message, Odometry):
+            if gyroscope:
+                messages.append(YawRate(message.stamp, 25.0 * float(se2.wrap(message.pose - before)[2])))
+            before = message.pose
+            message = replace(message, pose=message.pose * [1.0, 1.0, np.degrees(1.0)])
+        messages.append(message)
+    source = drivers.open(written(tmp_path / "drive.mcap", messages))
+    reason = reason_without_odometry(source)
+    assert reason is None if gyroscope else reason is not None and "does not measure the turns" in reason
 
 
 @pytest.mark.parametrize(("found", "sigma"), [(-1.0, 0.3), (0.0, 0.2), (0.6, 0.001), (1.9, 0.001)])
