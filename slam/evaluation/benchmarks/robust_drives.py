@@ -14,7 +14,17 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulatio
 
 from ...errors import MapError
 from .scenarios.buildings import random_building, turning_path, wide_hall
-from .scenarios.log_variants import LogVariant, crop, drift, jitter, reverse_times, shorten, stamp_late, thin
+from .scenarios.log_variants import (
+    LogVariant,
+    crop,
+    drift,
+    fail_odometry,
+    jitter,
+    reverse_times,
+    shorten,
+    stamp_late,
+    thin,
+)
 from .scenarios.recorded import recorded
 from .scenarios.strangers import stranger
 from .scenarios.world_variants import add_crowd
@@ -60,6 +70,7 @@ VARIANTS: dict[str, DriveVariant] = {
     "backwards": DriveVariant(backwards=True),
     "drift": DriveVariant(drift(), drawn=True),
     "backwards-drift": DriveVariant(drift(), backwards=True, drawn=True),
+    "failing-odometry": DriveVariant(fail_odometry(), drawn=True),
     "jitter": DriveVariant(jitter(), drawn=True),
     "narrow": DriveVariant(crop(NARROW_HALF_ANGLE)),
     "short-range": DriveVariant(shorten()),
@@ -136,6 +147,12 @@ WORLDS: dict[str, SimulatedWorld] = {
     "wide-hall": SimulatedWorld("a hall wider than the lidar's range", lambda _: wide_hall(), "short", "bad"),
     "columns": SimulatedWorld("a hall with round columns", lambda _: load_world("columns"), "short", "bad", 100.0),
     "buildings": SimulatedWorld("long corridors and rooms, others for each seed", random_building, "short", "bad"),
+    "failing-odometry": SimulatedWorld(
+        "buildings as above, odometry stands still or is missing for up to 40 s",
+        random_building,
+        log=fail_odometry(),
+        recording=True,
+    ),
     "strangers": SimulatedWorld("building, lidar, mount, wheels and people drawn from the seed", stranger),
 }
 """Simulated worlds by name."""

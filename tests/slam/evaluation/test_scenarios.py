@@ -20,6 +20,7 @@ from slam.evaluation.benchmarks.scenarios.log_variants import (
     chain,
     crop,
     disturb,
+    fail_odometry,
     quantise,
     reverse_times,
     scatter_no_returns,
@@ -67,6 +68,22 @@ def test_ranges_are_disturbed_as_stated() -> None:
     added = np.concatenate([scan.ranges for scan in scans_of(changed(disturb(0.05, 0.05)))]) - before
     assert set(np.round(added[valid], 6)) == {0.0, 0.05}
     assert np.mean(added[valid] > 0) == pytest.approx(0.05, abs=0.01)
+
+
+def test_odometry_fails_in_both_ways_and_goes_on() -> None:
+    readings: list[Message] = [Odometry(0.1 * k, np.array([0.05 * k, 0.0, 0.0])) for k in range(20_000)]
+    found = [
+        (m.stamp, m.pose[0]) for m in fail_odometry()(readings, np.random.default_rng(1)) if isinstance(m, Odometry)
+    ]
+    stamps, x = np.array(found).T
+    gaps, moved = np.diff(stamps) > 1.0, np.diff(x)
+    assert 5.0 < np.diff(stamps)[gaps].min() < np.diff(stamps)[gaps].max() < 40.2
+    np.testing.assert_allclose(
+        moved[gaps], 0.5 * np.diff(stamps)[gaps], atol=1e-9
+    )  # in a gap the wheels go on counting
+    stands = moved == 0.0
+    assert 0.05 < stands.mean() < 0.4
+    np.testing.assert_allclose(moved[~gaps & ~stands], 0.05, atol=1e-9)
 
 
 def test_thinned_logs_have_few_scans_and_all_odometry() -> None:

@@ -27,7 +27,7 @@ def bench_robust(
             "--condition",
             metavar="NAME",
             help="World, or name of a recording; can be repeated. By default all recordings and all worlds: crowd, "
-            "turns, reversed-beams, late-lidar, wide-hall, columns, buildings, strangers.",
+            "turns, reversed-beams, late-lidar, wide-hall, columns, buildings, failing-odometry, strangers.",
         ),
     ] = None,
     variants: Annotated[
@@ -36,8 +36,8 @@ def bench_robust(
             "--variant",
             metavar="NAME",
             help="Map the recordings in this variant instead of as they are; can be repeated: backwards, drift "
-            "(errors of odometry drawn from the seed), backwards-drift, jitter (noise of 1 micrometre), narrow (90 "
-            "degrees of the field of view), short-range (readings of up to 5 m), thinned.",
+            "(errors of odometry drawn from the seed), backwards-drift, failing-odometry, jitter (noise of 1 "
+            "micrometre), narrow (90 degrees of the field of view), short-range (readings of up to 5 m), thinned.",
         ),
     ] = None,
     first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive of a world.")] = 0,

@@ -23,6 +23,8 @@ NO_RETURNS = 51.05, 51.16
 DRIFT = 0.04, 0.05, 0.011
 """Standard deviations of the systematic errors of odometry: relative error of the distance and of the turn, and radians
 per metre; those of the simulator's bad wheels."""
+WORKING, FAILING = (30.0, 120.0), (5.0, 40.0)
+"""Seconds, least and most, for which odometry measures the motion, and for which it fails then."""
 SHORT_REACH = 5.0
 """Metres that the lidar of a robot vacuum cleaner reaches."""
 MIN_PERIOD = 1e-4
@@ -151,6 +153,33 @@ def jitter() -> LogVariant:
         return _with_motions(messages, lambda motion: motion + JITTER * random.standard_normal(3))
 
     return jittered
+
+
+def fail_odometry() -> LogVariant:
+    """Let odometry fail now and then: it stands still and goes on from there, or its readings are missing.
+
+    The times are drawn from WORKING and FAILING; both kinds of failure are equally probable.
+    """
+
+    def failing(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
+        end, fails, missing = -np.inf, True, False
+        counted: Pose | None = None  # by the wheels up to the last reading that is used
+        pose = np.zeros(3)
+        for message in messages:
+            if not isinstance(message, Odometry):
+                yield message
+                continue
+            if message.stamp >= end:
+                fails, missing = not fails, bool(random.random() < 0.5)
+                end = message.stamp + random.uniform(*(FAILING if fails else WORKING))
+            if fails and missing:
+                continue
+            if not fails:
+                pose = message.pose if counted is None else se2.compose(pose, se2.between(counted, message.pose))
+            counted = message.pose
+            yield replace(message, pose=pose)
+
+    return failing
 
 
 def _with_motions(messages: Iterable[Message], change: Callable[[Pose], Pose]) -> Iterator[Message]:
