@@ -11,10 +11,11 @@ from drivers import se2
 
 from ..formatting import counted
 from ..geometry.segments import Floats, Integers
+from ..localisation.odometry_comparison import GROSS_ERROR
 from ..odometry.history import wheel_travel
 from .drive import Drive
 from .row_groups import consecutive_groups
-from .steps import FIT_WEIGHT, GROSS_ERROR, Steps
+from .steps import FIT_WEIGHT, Steps
 from .suspect import ODOMETRY, PLACEMENT, Suspect
 from .view_changes import MIN_RATIO, view_changes
 

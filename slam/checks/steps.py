@@ -16,6 +16,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
+from ..localisation.odometry_comparison import GROSS_ERROR
 from ..odometry.history import wheel_travel
 from .distance_rings import DistanceRings, compared_points
 from .drive import Drive
@@ -44,9 +45,6 @@ FIRST_GRID, FINER_GRID, FINER_WIDTHS = 9, 5, (0.25, 0.5)
 # Metres of odometry between two scans above which the local field says nothing about a step.
 # Origin: chosen, as far as one sees into the next room; not measured.
 MAX_STEP = 5.0
-# Share of its motion by which odometry must be wrong to be called slipping or frozen. Origin: chosen; calibration
-# errors and ordinary slip are far below.
-GROSS_ERROR = 0.5
 # Squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
 GROSS_DISTANCE = 16.3
 

@@ -10,13 +10,13 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import KERNEL, MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS, PointMatch, Prediction
+from ..matching.point_matcher import MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.systematic_errors import MIN_MOTION_TRAVEL
 from ..odometry.velocity import MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
+from .odometry_comparison import STEADY_SECONDS, OdometryComparison
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
-from .slip_statistics import STEADY_SECONDS, SlipStatistics
+from .slip_statistics import SlipStatistics
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MAX_TRAVEL
 
@@ -27,8 +27,7 @@ FROM_TENTATIVE = 2
 class PosePredictor:
     """Predictions from the last fix on.
 
-    If odometry fails for long, each motion is predicted to be even, as without odometry. Odometry is used again once it
-    agrees with the scans over a motion.
+    While odometry fails for long, each motion is predicted to be even, as without odometry.
 
     model  of odometry's errors; another one may be set at any time
     """
@@ -36,7 +35,7 @@ class PosePredictor:
     def __init__(self, model: OdometryModel) -> None:
         self.model = model
         self._fix: PoseFix | None = None
-        self._reference: PoseFix | None = None  # from which odometry predicts, or is compared with the scans
+        self._reference: PoseFix | None = None  # from which odometry predicts
         self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
         self._alternative: PoseFix | None = None  # where that scan fits odometry
         self._alternative_cost = 0.0  # by which it costs more there
@@ -48,6 +47,7 @@ class PosePredictor:
         self._odometry_after_gap: se2.Pose | None = None  # at the first scan since the fix that showed something
         self._clock, self._velocity = ScanClock(), VelocityFilter()
         self._prediction_error, self._slips = PredictionError(), SlipStatistics()
+        self._comparison = OdometryComparison()
 
     @property
     def fix(self) -> PoseFix | None:
@@ -62,17 +62,16 @@ class PosePredictor:
     @property
     def measured(self) -> bool:
         """True if odometry measures the motion: there is odometry, and it has not failed for long."""
-        return self.model.measured and not self._slips.lasting
+        return self.model.measured and not self._comparison.failing
 
     @property
     def odometry_fails(self) -> bool:
         """True if there is odometry, but it has failed for so long that the motion is predicted without it."""
-        return self.model.measured and self._slips.lasting
+        return self.model.measured and self._comparison.failing
 
     def stop_odometry(self) -> None:
         """Predict without odometry, whose readings have stopped, until it agrees with the scans again."""
-        if self.model.measured:
-            self._slips.stop()
+        self._comparison.stop_odometry()
 
     @property
     def velocity(self) -> Floats:
@@ -84,6 +83,7 @@ class PosePredictor:
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
         self._tentative = self._alternative = self._before_slip = self._odometry_after_gap = None
+        self._comparison.restart()
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix in a new part of the map, which may begin with scans that were tracked before."""
@@ -112,6 +112,7 @@ class PosePredictor:
     def correct(self, pose: se2.Pose) -> None:
         """Replace the pose of the last fix, and predict from it from now on."""
         assert self._fix is not None
+        self._comparison.follow(se2.between(self._fix.pose, pose), self._fix)
         self._fix = self._reference = PoseFix(pose, self._fix.odometry)
 
     def state(self, last_score: float) -> TrackerState | None:
@@ -122,7 +123,7 @@ class PosePredictor:
             self._fix, self._reference, self._since_fix, self._clock.last, self._clock.intervals,
             self._velocity.velocity, self._velocity.variances,
             self._prediction_error.variances, self._prediction_error.scans,
-            replace(self._slips), last_score,
+            replace(self._slips), self._comparison.contradicted_for, last_score,
         )  # fmt: skip
 
     def restore(self, state: TrackerState) -> None:
@@ -131,7 +132,7 @@ class PosePredictor:
         self._since_fix, self._clock = state.since_fix, ScanClock(state.scan_stamp, state.intervals)
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
         self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
-        self._slips = replace(state.slips)
+        self._slips, self._comparison = replace(state.slips), OdometryComparison(state.contradicted_for)
 
     def extrapolate(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
@@ -186,34 +187,15 @@ class PosePredictor:
         assert self._fix is not None
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
-        continues = result.slipped or not self.model.measured  # odometry, from here
         if result.slipped and self.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
-        slipped = result.slipped
-        if self.odometry_fails:
-            agrees = self._odometry_agrees(fix, result.registered_covariance)
-            slipped, continues = not agrees, agrees is not None
+        if result.slipped or not self.model.measured:  # odometry continues from here
+            self._reference = fix
         # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
         seconds = self._since_fix if self._since_fix is not None and self._interval <= STEADY_SECONDS else 0.0
-        self._slips.add(seconds, slipped=slipped)
+        self._comparison.add(fix, result.registered_covariance, seconds, self.model, self._prediction_error.covariance)
+        self._slips.add(slipped=result.slipped)
         self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
-        if continues:
-            self._reference = fix
-
-    def _odometry_agrees(self, fix: PoseFix, covariance: Floats) -> bool | None:
-        """Return True if odometry agrees with the scans over the motion from the reference to `fix`.
-
-        covariance  (3, 3) of either pose
-        None if the motion is too short to tell, and while both stand.
-        """
-        assert self._reference is not None
-        motion = self._reference.odometry_motion(fix.odometry)
-        by_scans = se2.between(self._reference.pose, fix.pose)
-        if max(wheel_travel(motion), wheel_travel(by_scans)) < MIN_MOTION_TRAVEL:
-            return None
-        motion = self.model.correct(motion)
-        error = self.model.covariance(motion) + self._prediction_error.covariance + 2.0 * covariance
-        return Prediction(motion, inverse(error)).squared_distance(by_scans) < KERNEL**2
 
     def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""

@@ -2,8 +2,7 @@
 
 Failures come in a row: a robot that is pushed or carried moves for seconds while its wheels stand still. So odometry is
 a Markov chain with two states, and the probability of a slip is learned for each: after a scan before which odometry
-has measured the motion, and after a slip. If it fails for longer than a robot keeps its velocity, it is not used until
-it agrees with the scans again.
+has measured the motion, and after a slip.
 
 Without odometry the motion is predicted at constant velocity, and what fails is that the robot moves evenly.
 """
@@ -13,17 +12,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
-
 # Scans and slips that count before any driving. Origin: chosen, one slip in twenty scans, as nothing is known of the
 # robot; within some minutes of driving its own slips count more.
 PRIOR_SCANS, PRIOR_SLIPS = 20, 1
 # Scans after a slip, and slips among them, that count before any driving. Origin: definition, the uniform prior of a
 # probability: that odometry keeps failing is as probable as that it does not.
 PRIOR_SCANS_AFTER_SLIPS, PRIOR_REPEATED_SLIPS = 2, 1
-# Seconds for which a robot moves evenly: after that time it may have any velocity.
-# Origin: definition, the time in which ACCELERATIONS lead to MAX_VELOCITIES.
-STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 
 
 @dataclass(slots=True)
@@ -35,7 +29,6 @@ class SlipStatistics:
     after_slips     tracked scans that follow a slip
     repeated_slips  slips that follow a slip
     failing         True if the last tracked scan was a slip
-    failing_for     seconds from the first to the last one of the slips in a row that end at the last tracked scan
     """
 
     scans: int = 0
@@ -43,26 +36,15 @@ class SlipStatistics:
     after_slips: int = 0
     repeated_slips: int = 0
     failing: bool = False
-    failing_for: float = 0.0
 
-    def add(self, seconds: float, *, slipped: bool) -> None:
-        """Count a tracked scan, some seconds after the one before."""
+    def add(self, *, slipped: bool) -> None:
+        """Count a tracked scan."""
         self.scans += 1
         self.slips += slipped
         if self.failing:
             self.after_slips += 1
             self.repeated_slips += slipped
-        self.failing_for = self.failing_for + seconds if self.failing and slipped else 0.0
         self.failing = slipped
-
-    def stop(self) -> None:
-        """Take odometry as failing for long, whose readings have stopped."""
-        self.failing, self.failing_for = True, max(self.failing_for, STEADY_SECONDS)
-
-    @property
-    def lasting(self) -> bool:
-        """True if odometry has failed for STEADY_SECONDS without a break."""
-        return self.failing_for >= STEADY_SECONDS
 
     @property
     def cost(self) -> float:

@@ -109,6 +109,7 @@ class TrackerState:
     prediction_variances  (3,) see `PredictionError`
     prediction_scans  number of scans that they rest on
     slips       numbers of tracked scans and of slips
+    contradicted_for  seconds for which odometry has contradicted the scans, see `OdometryComparison`
     last_score  match score of the last tracked scan
     """
 
@@ -122,6 +123,7 @@ class TrackerState:
     prediction_variances: Floats
     prediction_scans: int
     slips: SlipStatistics
+    contradicted_for: float
     last_score: float
 
     @classmethod
@@ -130,5 +132,5 @@ class TrackerState:
         velocity, error = VelocityFilter(), PredictionError()
         return cls(
             fix, fix, None, None, (), velocity.velocity, velocity.variances, error.variances, error.scans,
-            SlipStatistics(), 0.0,
+            SlipStatistics(), 0.0, 0.0,
         )  # fmt: skip

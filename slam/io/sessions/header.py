@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -89,7 +89,7 @@ class _Tracker(Record):
     after_slips: int = Field(default=0, ge=0)
     repeated_slips: int = Field(default=0, ge=0)
     failing: bool = False
-    failing_for: Finite = Field(default=0.0, ge=0.0)
+    contradicted_for: Finite = Field(default=0.0, ge=0.0)
     last_score: Finite
 
 
@@ -218,6 +218,7 @@ def _tracker_record(state: TrackerState) -> _Tracker:
         prediction_variances=to_pose(state.prediction_variances),
         prediction_scans=state.prediction_scans,
         **asdict(state.slips),
+        contradicted_for=state.contradicted_for,
         last_score=state.last_score,
     )
 
@@ -229,7 +230,8 @@ def _tracker_state(record: _Tracker) -> TrackerState:
     return TrackerState(
         fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),
         np.array(record.velocity_variances), np.array(record.prediction_variances), record.prediction_scans,
-        SlipStatistics(**{one.name: getattr(record, one.name) for one in fields(SlipStatistics)}),
+        SlipStatistics(record.scans, record.slips, record.after_slips, record.repeated_slips, record.failing),
+        record.contradicted_for,
         record.last_score,
     )  # fmt: skip
 

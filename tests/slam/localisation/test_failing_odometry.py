@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Literal
@@ -14,20 +13,12 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
-from slam.config import OdometryConfig
 from slam.evaluation.benchmarks.scenarios.buildings import random_building
 from slam.events import EventRecorder, Notice
 from slam.geometry.segments import Floats
-from slam.localisation.pose_predictor import PosePredictor
-from slam.localisation.slip_statistics import STEADY_SECONDS
-from slam.odometry.error_model import OdometryModel
-
-from ..tracking_results import tracking_result
 
 Failure = Literal["stands still", "ends", "pauses"]
 BEGIN, END, DURATION = 8.0, 20.0, 26.0  # seconds of the failure and of the drive
-STEP = np.array([0.1, 0.0, 0.0])  # motion between two scans
-PERIOD = 0.1  # seconds
 
 
 def drive(failure: Failure) -> Iterator[Message]:
@@ -66,21 +57,3 @@ def position_errors(stamps: Floats, poses: Floats, truth: Floats) -> Floats:
     true = np.column_stack([np.interp(stamps[known], truth[:, 0], truth[:, k]) for k in (1, 2)])
     aligned = se2.transform(se2.inverse(truth[0, 1:]), true)
     return np.asarray(np.hypot(*(poses[known, :2] - aligned).T))
-
-
-def test_odometry_is_used_again_once_it_agrees_with_the_scans() -> None:
-    predictor = PosePredictor(OdometryModel(OdometryConfig()))
-    pose, odometry = np.zeros(3), np.zeros(3)
-    predictor.move_to(pose, odometry)
-    measured = []
-    for k in range(40):
-        predictor.predict(k * PERIOD, odometry)
-        slipped = 10 <= k < 30
-        result = tracking_result(pose=pose, information=1e6 * np.eye(3), slipped=slipped or not predictor.measured)
-        predictor.update(result, odometry, None)
-        measured.append(predictor.measured)
-        pose = pose + STEP
-        odometry = odometry if 9 <= k < 29 else odometry + STEP
-    late = math.ceil(STEADY_SECONDS / PERIOD)
-    np.testing.assert_array_equal(measured, [k < 10 + late or k >= 30 for k in range(40)])
-    assert predictor.velocity[0] == pytest.approx(STEP[0] / PERIOD, rel=0.01)

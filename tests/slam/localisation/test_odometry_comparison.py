@@ -1,0 +1,95 @@
+"""Odometry fails for long if it contradicts the scans in each motion, until it agrees with them again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+
+from drivers import se2
+from slam.config import OdometryConfig
+from slam.geometry.segments import Floats
+from slam.localisation.odometry_comparison import STEADY_SECONDS, OdometryComparison
+from slam.localisation.pose_predictor import PosePredictor
+from slam.localisation.tracking import PoseFix
+from slam.odometry.error_model import OdometryModel
+
+from ..tracking_results import tracking_result
+
+STEP = np.array([0.05, 0.0, 0.0])  # motion between two scans
+PERIOD = 0.1  # seconds
+SIGMAS = np.array([0.003, 0.003, 0.002])
+
+
+def failing(motions: Iterable[tuple[Floats, Floats]], period: float = PERIOD) -> list[bool]:
+    """Return whether odometry fails after each motion by the scans and by odometry, [x, y, heading]."""
+    comparison, model, random = OdometryComparison(), OdometryModel(OdometryConfig()), np.random.default_rng(3)
+    pose, odometry, found = np.zeros(3), np.zeros(3), []
+    for by_scans, by_odometry in motions:
+        pose, odometry = se2.compose(pose, by_scans), se2.compose(odometry, by_odometry)
+        fix = PoseFix(se2.compose(pose, SIGMAS * random.standard_normal(3)), odometry)
+        comparison.add(fix, np.diag(SIGMAS**2), period, model, np.diag(SIGMAS**2))
+        found.append(comparison.failing)
+    return found
+
+
+def test_odometry_fails_after_the_time_in_which_a_robot_changes_its_velocity() -> None:
+    found = failing([(STEP, STEP)] * 20 + [(STEP, 0 * STEP)] * 20 + [(STEP, STEP)] * 10)
+    begin, end = found.index(True), len(found) - found[::-1].index(True)
+    assert STEADY_SECONDS <= (begin - 19) * PERIOD < STEADY_SECONDS + 0.4
+    assert 40 <= end < 44
+    assert all(found[begin:end])
+
+
+@pytest.mark.parametrize("scale", [0.8, 1.25])
+def test_worn_wheels_do_not_fail(scale: float) -> None:
+    assert not any(failing([(STEP, scale * STEP)] * 100))
+
+
+def test_a_slip_a_jump_and_a_late_reading_do_not_last() -> None:
+    slip = [(0.0 * STEP, 8.0 * STEP)]
+    jump = [(STEP, np.array([0.0, 1.5, 0.3]))]
+    late = [(STEP, 0.0 * STEP)] * 3 + [(STEP, 4.0 * STEP)]
+    stand = [(0.0 * STEP, 0.0 * STEP)] * 50
+    assert not any(failing([(STEP, STEP)] * 9 + [*stand, *slip, *stand] + [(STEP, STEP)] * 9 + [*jump, *stand, *late]))
+
+
+def test_a_robot_that_stands_does_not_show_that_odometry_works_again() -> None:
+    found = failing([(STEP, 0.0 * STEP)] * 30 + [(0.0 * STEP, 0.0 * STEP)] * 100 + [(STEP, 0.0 * STEP)] * 10)
+    assert all(found[20:])
+
+
+def test_a_correction_of_the_map_is_no_motion() -> None:
+    comparison, model = OdometryComparison(), OdometryModel(OdometryConfig())
+    pose, fix = np.zeros(3), PoseFix(np.zeros(3), np.zeros(3))
+    for k in range(60):
+        pose, fix = se2.compose(fix.pose, STEP), PoseFix(se2.compose(fix.pose, STEP), k * STEP)
+        comparison.add(fix, np.diag(SIGMAS**2), PERIOD, model, np.diag(SIGMAS**2))
+        if k % 3 == 0:  # a loop is closed
+            correction = np.array([0.8, -0.5, 0.2])
+            comparison.follow(correction, fix)
+            fix = PoseFix(se2.compose(pose, correction), fix.odometry)
+        assert not comparison.contradicted_for
+
+
+def test_the_motion_is_predicted_to_be_even_while_odometry_fails() -> None:
+    predictor = PosePredictor(OdometryModel(OdometryConfig()))
+    pose, odometry = np.zeros(3), np.zeros(3)
+    predictor.move_to(pose, odometry)
+    for k in range(40):
+        predictions = predictor.predict(k * PERIOD, odometry)
+        if k > 30:
+            np.testing.assert_allclose(predictions[0].pose, pose, atol=0.005)
+        slipped = k >= 20
+        result = tracking_result(pose=pose, information=1e6 * np.eye(3), slipped=slipped)
+        predictor.update(result, odometry, None)
+        pose = pose + STEP
+        odometry = odometry if k >= 19 else odometry + STEP
+    assert predictor.odometry_fails
+    assert not predictor.measured
+    state = predictor.state(0.0)
+    assert state is not None
+    restored = PosePredictor(OdometryModel(OdometryConfig()))
+    restored.restore(state)
+    assert restored.odometry_fails
