@@ -134,8 +134,7 @@ class Slam:
         tracker = self._estimator.state.tracker
         if not self._preprocessor.is_measured(scan):
             tracker.stop_odometry()
-        velocity = tracker.velocity if tracker.odometry_fails else None
-        processed = self._preprocessor.process(scan, self.slam_state.odometry_model, velocity)
+        processed = self._preprocessor.process(scan, self.slam_state.odometry_model, tracker.predicted_velocity)
         timer.lap("features")
         self._journal.add(processed)
         before = self._estimator.state.matched_pose if self._motions.learns else None

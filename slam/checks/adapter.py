@@ -66,10 +66,10 @@ def drive_of(
         points=[scans.features(row).points.xy for row in rows.tolist()],
         deviations=odometry_model.deviations,
         floors=odometry_model.floors,
+        failing=~scans.measured[rows],
         measured=odometry_model.measured,
         start=start,
         readings=np.concatenate([np.zeros(0), *(history.stamps for history in segments.histories)]),
-        failing=~scans.measured[rows] if odometry_model.measured else None,
     )
 
 

@@ -33,11 +33,11 @@ class Drive:
     points      n arrays (p, 2), the valid returns in the base's frame, metres
     deviations  (4,) standard deviations of the random errors of odometry, see `OdometryModel.deviations`
     floors      (2,) standard deviations of a single odometry reading, metres and radians
+    failing     (n,) True for scans to which odometry does not lead, as it was missing or known to fail
     measured    False if odometry is predicted at constant velocity
     start       stamp (seconds) from which times in texts are counted
     readings    (m,) stamps of the odometry readings; between two of them odometry is interpolated. Without any, there
                 is one at each scan
-    failing     (n,) True for scans to which odometry does not lead, as it was missing or known to fail; none by default
     """
 
     stamps: Floats
@@ -47,10 +47,10 @@ class Drive:
     points: Sequence[Floats]
     deviations: Floats
     floors: Floats
+    failing: NDArray[np.bool_]
     measured: bool = True
     start: float = 0.0
     readings: Floats = field(default_factory=lambda: np.zeros(0))
-    failing: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -59,7 +59,7 @@ class Drive:
         """Return the drive with those scans only that are SAMPLE_DISTANCE or SAMPLE_TURN apart and not empty."""
         counts = np.array([len(points) for points in self.points], dtype=np.int64)
         rows = _sample(self.odometry, self.poses, counts)
-        failing = None if self.failing is None else np.diff(np.cumsum(self.failing)[rows], prepend=0) > 0
+        failing = np.diff(np.cumsum(self.failing)[rows], prepend=0) > 0  # at any scan since the one before
         return Drive(
             self.stamps[rows],
             self.poses[rows],
@@ -68,10 +68,10 @@ class Drive:
             [np.ascontiguousarray(self.points[row], dtype=np.float64) for row in rows.tolist()],
             self.deviations,
             self.floors,
+            failing,
             self.measured,
             self.start,
             self.readings,
-            failing,
         )
 
     def between_readings(self, first: int, last: int) -> tuple[int, int]:

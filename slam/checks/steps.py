@@ -79,7 +79,6 @@ def judge_steps(drive: Drive) -> Steps:
     count = len(drive) - 1
     rows = np.arange(count)
     error, distance = drive.departures(rows, rows + 1)
-    failing = np.zeros(count, dtype=bool) if drive.failing is None else drive.failing[1:]
     steps = Steps(
         threshold=math.log(max(count, 1) / FALSE_ALARM_PROBABILITY),
         error=error,
@@ -100,7 +99,7 @@ def judge_steps(drive: Drive) -> Steps:
         if k >= FIELD_SCANS:
             field.remove(drive.points[k - FIELD_SCANS], drive.poses[k - FIELD_SCANS])
         if judged[k]:
-            if not failing[k]:
+            if not drive.failing[k + 1]:
                 _judge(steps, k, drive, field, measured[k], float(prior[k]))
             if gross[k]:
                 _judge_odometry(steps, k, drive, field, measured[k])

@@ -99,8 +99,7 @@ class Estimator:
         retracted = self._retract_contradicted_closure()
         result = ScanResult(tracking, update, retracted, mapper, in_plan=in_plan, joined=joined)
         if self.state.lost:
-            tracker = self.state.tracker
-            unmeasured = self.state.may_have_been_carried or not tracker.measured
+            unmeasured = self.state.may_have_been_carried or not self.state.tracker.measured
             began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=unmeasured)
             result = replace(began, retracted=result.retracted)
         if on_trial or self._frozen_state is not None:  # the map on trial is not a result

@@ -30,23 +30,23 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
     odometry  pose of odometry at the scan
 
     A robot that was kidnapped since the anchor is where registration has it, with a weak prior; this is stored with the
-    keyframe. The states `kidnapped` and `slipped` end here: the next motion begins at the new keyframe.
+    keyframe. While odometry fails, the motion is that of the scans, with the covariance of one that is predicted. The
+    states `kidnapped` and `slipped` end here: the next motion begins at the new keyframe.
     """
-    model, registration = state.odometry_model, tracking.registration
+    registration = tracking.registration
     measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
     covariance, correlated_drift = np.diag(UNMEASURED_MOTION_SIGMAS**2), np.zeros((2, 2))
     if state.kidnapped:
         state.kidnapped_keyframes.append(state.mapper.keyframe_count)
         motion = registered
     else:
-        if not state.tracker.odometry_fails:
+        fails = state.tracker.odometry_fails
+        if not fails:
             learn_motion(state, odometry, tracking)
-        motion = model.correct(measured)
+        model = state.unmeasured_model if fails else state.odometry_model
+        motion = registered if fails else model.correct(measured)
         covariance = model.covariance(motion)
-        if state.tracker.odometry_fails:
-            motion, model = registered, state.unmeasured_model
-            covariance = model.covariance(motion)
-        elif state.slipped:  # odometry is wrong by as much as registration says
+        if state.slipped and not fails:  # odometry is wrong by as much as registration says
             error = se2.between(motion, registered)
             covariance = covariance + np.diag(error**2)
         correlated_drift = model.correlated_drift(motion, registration.total_information)

@@ -191,9 +191,11 @@ class PosePredictor:
             self._before_slip, self._since_slip = self._reference, 0.0
         if result.slipped or not self.model.measured:  # odometry continues from here
             self._reference = fix
-        # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
-        seconds = self._since_fix if self._since_fix is not None and self._interval <= STEADY_SECONDS else 0.0
-        self._comparison.add(fix, result.registered_covariance, seconds, self.model, self._prediction_error.covariance)
+        if self.model.measured:
+            # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
+            seconds = (self._since_fix or 0.0) if self._interval <= STEADY_SECONDS else 0.0
+            error = self._prediction_error.covariance
+            self._comparison.add(fix, result.registered_covariance, seconds, self.model, error)
         self._slips.add(slipped=result.slipped)
         self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
 
@@ -202,22 +204,27 @@ class PosePredictor:
         assert self._fix is not None
         assert self._reference is not None
         if self.odometry_fails:
-            return self._without_odometry(interval if self._since_fix is None else self._since_fix)
+            seconds = interval if self._since_fix is None else self._since_fix
+            even, uneven = (self._even_motion(self._fix.pose, seconds, cost) for cost in (0.0, SlipStatistics().cost))
+            return self._unmeasured(even, uneven, seconds, seconds)
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, self._slips.cost)
-        if not self.model.measured:  # the usual motion is an even one: what fails is that the robot moves evenly
-            slip = replace(slip, information=information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval))
-            sigmas = self._velocity.deviations(self._since_fix or 0.0) + PREDICTION_SIGMAS
-            return replace(self._by_odometry(self._reference, odometry, None), search_sigmas=sigmas[1:]), slip
+        if not self.model.measured:
+            usual = self._by_odometry(self._reference, odometry, None)
+            return self._unmeasured(usual, slip, self._since_fix or 0.0, interval)
         inertia = slip if self._since_fix is not None else None
         return self._by_odometry(self._reference, odometry, inertia, self._slips.cost_of_none), slip
 
-    def _without_odometry(self, seconds: float) -> tuple[Prediction, Prediction]:
-        """Return the predictions some seconds after the last fix if odometry tells nothing: as without it."""
-        assert self._fix is not None
-        even = self._even_motion(self._fix.pose, seconds)
-        uneven = information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * seconds)
+    def _unmeasured(
+        self, even: Prediction, uneven: Prediction, seconds: float, interval: float
+    ) -> tuple[Prediction, Prediction]:
+        """Return the predictions if no odometry measures the motion: what fails is that the robot moves evenly.
+
+        The poses that it reaches by accelerating for some `seconds` are searched around the first one. The second one
+        is that of any velocity for an `interval`, seconds.
+        """
         sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
-        return replace(even, search_sigmas=sigmas[1:]), replace(even, information=uneven, cost=SlipStatistics().cost)
+        information = information_of(PREDICTION_SIGMAS + MAX_VELOCITIES * interval)
+        return replace(even, search_sigmas=sigmas[1:]), replace(uneven, information=information)
 
     def _by_odometry(
         self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None, cost: float = 0.0

@@ -119,9 +119,12 @@ class Tracker:
         self._predictor.stop_odometry()
 
     @property
-    def velocity(self) -> Floats:
-        """(3,) velocity [x, y, heading] at the last fix, in the base's frame, metres and radians per second."""
-        return self._predictor.velocity
+    def predicted_velocity(self) -> Floats | None:
+        """(3,) velocity [x, y, heading] in the base's frame while odometry fails, metres and radians per second.
+
+        None if odometry does not fail.
+        """
+        return self._predictor.velocity if self.odometry_fails else None
 
     @property
     def may_have_been_carried(self) -> bool:
