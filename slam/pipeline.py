@@ -149,7 +149,8 @@ class Slam:
             self._journal.note_familiar_place()
         self._journal.mark_dispensable(self._estimator.state.keyframe_stamps)
         self._statistics.lost_scans += self._localisation.lost
-        self._report.add(processed, result, self.slam_state, self._preprocessor.noise.sigma_range, timer)
+        velocity = self._estimator.state.tracker.predicted_velocity
+        self._report.add(processed, result, self.slam_state, self._preprocessor.noise.sigma_range, timer, velocity)
         self._localisation.update(processed.stamp, result, self._estimator)
 
     def _learn_motion(self, stamp: float, tracking: TrackingResult, before: se2.Pose | None) -> None:

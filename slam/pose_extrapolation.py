@@ -1,4 +1,4 @@
-"""Pose of the base now: that of the last scan, extrapolated by odometry, with covariance.
+"""Pose of the base now: that of the last scan, extrapolated by odometry, or by an even motion while odometry fails.
 
 It is output only, and never enters the estimate.
 """
@@ -6,7 +6,7 @@ It is output only, and never enters the estimate.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from threading import Lock
 from typing import ClassVar
 
@@ -18,8 +18,10 @@ from drivers.messages import Odometry
 from .events import Event, KeyframeAdded, ScanTracked, StateChanged
 from .geometry.pose_covariance import covariance_after
 from .geometry.segments import Floats
+from .localisation.odometry_comparison import STEADY_SECONDS
 from .localisation.state import LocalisationStatus
 from .odometry.error_model import OdometryModel
+from .odometry.velocity import VelocityFilter
 
 # Odometry readings that are kept until a scan measured at their time was processed. Origin: chosen, half a minute of a
 # fast base, longer than any scan takes.
@@ -54,12 +56,31 @@ class ExtrapolatedPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fix:
-    """Pose of the base in the map, odometry at the same time, and the error model of odometry, if it is known."""
+    """Pose of the base in the map at the last scan.
 
+    stamp     seconds, on the clock of odometry
+    odometry  (3,) odometry pose at this time
+    model     of odometry's errors; None if it is unknown
+    velocity  of the base while odometry fails, else None
+    """
+
+    stamp: float
     pose: se2.Pose
     odometry: se2.Pose
     covariance: Floats
     model: OdometryModel | None
+    velocity: VelocityFilter | None
+
+    def motion_until(self, reading: Odometry) -> tuple[se2.Pose, Floats]:
+        """Return the motion since then and its covariance (3, 3)."""
+        if self.velocity is not None:
+            seconds = min(max(reading.stamp - self.stamp, 0.0), STEADY_SECONDS)
+            return self.velocity.motion(seconds), np.diag(self.velocity.deviations(seconds) ** 2)
+        motion = se2.between(self.odometry, reading.pose)
+        if self.model is None or np.array_equal(self.odometry, reading.pose):  # standing wheels do not err
+            return motion, np.zeros((3, 3))
+        motion = self.model.correct(motion)
+        return motion, self.model.covariance(motion)
 
 
 class PoseExtrapolator:
@@ -71,8 +92,9 @@ class PoseExtrapolator:
         Ad(T)^-1 P Ad(T)^-T + Q,
 
     where P is the covariance of the scan's pose, whose errors are those of the last keyframe, and Q that of the motion
-    by the error model. On a map that does not change, P is the covariance of the pose in it. `at` may be called from
-    any thread.
+    by the error model. On a map that does not change, P is the covariance of the pose in it. While odometry fails, T
+    and Q are those of a robot that moves on as it did, and stops after STEADY_SECONDS without a scan. `at` may be
+    called from any thread.
 
     delay  seconds by which the lidar's stamps are late against odometry's
     """
@@ -92,12 +114,13 @@ class PoseExtrapolator:
         match event:
             case ScanTracked():
                 covariance = event.covariance if self._keyframe is None else _moved(self._keyframe, event.pose)
-                odometry = self._measured_at(event.stamp - self.delay, event.odometry)
-                self._fix = _Fix(event.pose, odometry, covariance, event.odometry_model)
+                stamp = event.stamp - self.delay
+                odometry = self._measured_at(stamp, event.odometry)
+                self._fix = _Fix(stamp, event.pose, odometry, covariance, event.odometry_model, event.velocity)
             case KeyframeAdded():  # the same scan, after the map has changed
                 self._keyframe = event
                 if self._fix is not None:
-                    self._fix = _Fix(event.pose, self._fix.odometry, event.pose_covariance, self._fix.model)
+                    self._fix = replace(self._fix, pose=event.pose, covariance=event.pose_covariance)
             case StateChanged():
                 self._status = LocalisationStatus(event.state)
 
@@ -108,10 +131,7 @@ class PoseExtrapolator:
         fix = self._fix
         if fix is None:
             return None
-        motion, own = se2.between(fix.odometry, reading.pose), np.zeros((3, 3))
-        if fix.model is not None and not np.array_equal(fix.odometry, reading.pose):  # standing wheels do not err
-            motion = fix.model.correct(motion)
-            own = fix.model.covariance(motion)
+        motion, own = fix.motion_until(reading)
         covariance = covariance_after(fix.covariance, motion) + own
         return ExtrapolatedPose(reading.stamp, se2.compose(fix.pose, motion), covariance, reading.pose, self._status)
 

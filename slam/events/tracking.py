@@ -13,6 +13,7 @@ from ..geometry.segments import Floats
 
 if TYPE_CHECKING:
     from ..odometry.error_model import OdometryModel
+    from ..odometry.velocity import VelocityFilter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,6 +27,7 @@ class ScanTracked:
     points         (p, 2) valid returns in the base's frame, metres
     covariance     (3, 3) of the pose in the map as it stands, in the base's frame; zero: unknown
     odometry_model copy of the error model of odometry as learned so far; None if it is unknown
+    velocity       of the base in its own frame while odometry fails, by which the motion is predicted; else None
     """
 
     stamp: float
@@ -36,6 +38,7 @@ class ScanTracked:
     points: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
     odometry_model: OdometryModel | None = None
+    velocity: VelocityFilter | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

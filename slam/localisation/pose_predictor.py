@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -74,9 +75,9 @@ class PosePredictor:
         self._comparison.stop_odometry()
 
     @property
-    def velocity(self) -> Floats:
-        """(3,) velocity [x, y, heading] at the last fix, in the base's frame, metres and radians per second."""
-        return self._velocity.velocity
+    def velocity(self) -> VelocityFilter:
+        """Copy of the velocity at the last fix."""
+        return copy(self._velocity)  # its arrays are replaced, not changed
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""

@@ -20,11 +20,11 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
+from ..odometry.velocity import VelocityFilter
 from .match_target import MatchTarget, ScanMatch
 from .moving_objects import match_without_moving
 from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
@@ -119,11 +119,8 @@ class Tracker:
         self._predictor.stop_odometry()
 
     @property
-    def predicted_velocity(self) -> Floats | None:
-        """(3,) velocity [x, y, heading] in the base's frame while odometry fails, metres and radians per second.
-
-        None if odometry does not fail.
-        """
+    def predicted_velocity(self) -> VelocityFilter | None:
+        """Velocity at the last fix, by which the motion is predicted while odometry fails; None if it does not."""
         return self._predictor.velocity if self.odometry_fails else None
 
     @property

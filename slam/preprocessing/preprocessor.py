@@ -12,7 +12,7 @@ from drivers.messages import Odometry, Scan
 from features import LearnedNoise
 
 from ..config import Config
-from ..geometry.segments import CornerPoints, Floats, Segments
+from ..geometry.segments import CornerPoints, Segments
 from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
@@ -128,13 +128,15 @@ class Preprocessor:
         """Return True if odometry measures the motion of the base during the first sweep, or begins later."""
         return pair.first.stamp <= self.odometry.latest
 
-    def process(self, pair: ScanPair, odometry_model: OdometryModel, velocity: Floats | None = None) -> ProcessedScan:
+    def process(
+        self, pair: ScanPair, odometry_model: OdometryModel, velocity: VelocityFilter | None = None
+    ) -> ProcessedScan:
         """De-skew a scan and extract its segments, corners and the points on neither.
 
         Those of a second lidar's scan are added, moved to the stamp of the first. Stamps may be coarser than the scans
         are frequent: one with the stamp of the scan before gets a stamp DISTINCT from it.
 
-        velocity  (3,) of the base during the sweeps, metres and radians per second; None if odometry measures it
+        velocity  of the base during the sweeps; None if odometry measures the motion
         """
         odometry = self.odometry if velocity is None else self._even_motion(pair, velocity)
         first = self._first.extract(pair.first, odometry, odometry_model)
@@ -147,12 +149,13 @@ class Preprocessor:
         self._latest = max(deskewed.stamp, self._latest + DISTINCT)
         return ProcessedScan(self._latest, deskewed.odometry, features, travel, measured=velocity is None)
 
-    def _even_motion(self, pair: ScanPair, velocity: Floats) -> OdometryHistory:
+    def _even_motion(self, pair: ScanPair, velocity: VelocityFilter) -> OdometryHistory:
         """Return readings of a robot that moves evenly during the sweeps, from the pose of odometry in the middle."""
-        middle, motion = sweep_middle(pair.first), VelocityFilter(velocity).motion
+        middle = sweep_middle(pair.first)
         scans = [scan for scan in pair if scan is not None]
         begin, end = min(scan.stamp for scan in scans), max(scan.stamp + scan.duration for scan in scans)
         stamps = np.unique([begin, middle, end])
         return OdometryHistory.from_arrays(
-            stamps, np.array([se2.compose(self.odometry.at(middle), motion(stamp - middle)) for stamp in stamps])
+            stamps,
+            np.array([se2.compose(self.odometry.at(middle), velocity.motion(stamp - middle)) for stamp in stamps]),
         )

@@ -36,6 +36,7 @@ from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
 from ..mapping.mapper import Mapper
 from ..odometry.error_model import OdometryModel
+from ..odometry.velocity import VelocityFilter
 from ..preprocessing.preprocessor import ProcessedScan
 from .event_contents import keyframe_event, loop_event, settled_keyframe_event
 from .odometry_deviations import OdometryDeviations
@@ -77,9 +78,17 @@ class Publisher:
         return any(issubclass(one, handled) for one in types for _, handled in self._sinks)
 
     def publish_tracking(
-        self, scan: ProcessedScan, tracking: TrackingResult, mapper: Mapper, odometry_model: OdometryModel
+        self,
+        scan: ProcessedScan,
+        tracking: TrackingResult,
+        mapper: Mapper,
+        odometry_model: OdometryModel,
+        velocity: VelocityFilter | None = None,
     ) -> None:
-        """Publish the pose of a scan, and a notice if it was not tracked normally."""
+        """Publish the pose of a scan, and a notice if it was not tracked normally.
+
+        velocity  of the base at the scan while odometry fails, else None
+        """
         self._blind.add(scan.stamp, wrong=tracking.status is TrackingStatus.NO_FEATURES)
         self._unmeasured.add(scan.stamp, wrong=not scan.measured)
         if tracking.slipped:
@@ -101,6 +110,7 @@ class Publisher:
                 points=scan.features.points.xy,
                 covariance=tracking.covariance,
                 odometry_model=copy(odometry_model),  # its arrays are replaced, not changed
+                velocity=velocity,
             )
         )
 

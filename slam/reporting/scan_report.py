@@ -6,6 +6,7 @@ from ..estimation.estimator import ScanResult
 from ..estimation.slam_state import SlamState
 from ..estimation.stage_timer import StageTimer
 from ..events import Notice
+from ..odometry.velocity import VelocityFilter
 from ..preprocessing.preprocessor import ProcessedScan
 from .publisher import Publisher
 from .run_statistics import RunStatistics
@@ -18,7 +19,13 @@ class ScanReport:
         self._publisher, self._statistics = publisher, statistics
 
     def add(
-        self, scan: ProcessedScan, result: ScanResult, state: SlamState, sigma_range: float, timer: StageTimer
+        self,
+        scan: ProcessedScan,
+        result: ScanResult,
+        state: SlamState,
+        sigma_range: float,
+        timer: StageTimer,
+        velocity: VelocityFilter | None,
     ) -> None:
         """Report the effects of a scan.
 
@@ -26,10 +33,11 @@ class ScanReport:
         state        with the results of the run, after the scan
         sigma_range  standard deviation of a range, metres
         timer        with the times of the scan's processing
+        velocity     of the base at the scan while odometry fails, else None
         """
         statistics, publisher, mapper = self._statistics, self._publisher, state.mapper
         statistics.add_tracking(scan, result.tracking)
-        publisher.publish_tracking(scan, result.tracking, mapper, state.odometry_model)
+        publisher.publish_tracking(scan, result.tracking, mapper, state.odometry_model, velocity)
         if result.update is not None:
             statistics.add_keyframe(result.update, timer)
             publisher.publish_keyframe(result.mapper, result.update, sigma_range, timer)

@@ -13,7 +13,9 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, end_stamp
 from slam import Slam
 from slam.events import KeyframeAdded, ScanTracked, StateChanged
+from slam.localisation.odometry_comparison import STEADY_SECONDS
 from slam.localisation.state import LocalisationStatus
+from slam.odometry.velocity import VelocityFilter
 from slam.pose_extrapolation import ExtrapolatedPose, PoseExtrapolator
 
 WORLD = "sim:office?duration=12&lidar=short"
@@ -88,6 +90,40 @@ def test_the_covariance_is_that_of_the_scan_and_grows_with_the_motion_since() ->
     assert np.linalg.det(own) < sizes[0] < sizes[1] < sizes[2]
     assert driven[2] is not None
     np.testing.assert_allclose(driven[2].pose, se2.compose(scan.pose, [0.3, 0.0, 0.0]), atol=1e-9)
+
+
+def test_while_odometry_fails_the_robot_moves_on_as_the_scans_have_measured_it() -> None:
+    extrapolator = PoseExtrapolator()
+    model, own = Slam().slam_state.odometry_model, np.diag([1e-4, 4e-4, 1e-5])
+    velocity = VelocityFilter(np.array([0.5, 0.0, 0.0]), np.array([1e-4, 1e-4, 1e-4]))
+    pose = np.array([3.0, 2.0, np.pi / 2])
+    extrapolator.handle(ScanTracked(1.0, pose, np.zeros(3), 0.9, 0, np.zeros((0, 2)), own, model, velocity))
+    poses = [extrapolator.at(reading(1.0 + seconds, 0.0, 0.0, 0.0)) for seconds in (0.1, 0.2, 30.0)]  # wheels stand
+    assert all(poses)
+    moved = [2.05, 2.1, 2.0 + 0.5 * STEADY_SECONDS]
+    np.testing.assert_allclose([now.pose[1] for now in poses if now], moved, atol=1e-12)
+    sizes = [np.linalg.det(now.covariance) for now in poses if now]
+    assert np.linalg.det(own) < sizes[0] < sizes[1] < sizes[2]
+
+
+def test_a_base_that_is_switched_off_keeps_its_extrapolated_pose_on_the_path() -> None:
+    """Robot is pushed on at up to 0.5 m/s; odometry stands still from the middle of the drive on."""
+    extrapolator, frozen_at = PoseExtrapolator(), 6.0
+    slam, truth, errors = Slam(sinks=[extrapolator]), {}, []
+    frozen: Odometry | None = None
+    for message in as_they_arrive(messages()):
+        if isinstance(message, GroundTruth):
+            truth[message.stamp] = message.pose
+        if isinstance(message, Odometry):
+            frozen = message if message.stamp <= frozen_at or frozen is None else Odometry(message.stamp, frozen.pose)
+            message = frozen
+            now = extrapolator.at(message)
+            if now is not None and message.stamp in truth and message.stamp > frozen_at + 2.0 * STEADY_SECONDS:
+                errors.append(se2.between(se2.between(truth[min(truth)], truth[message.stamp]), now.pose))
+        slam.add(message)
+    assert len(errors) > 100
+    assert np.median(np.hypot(*np.array(errors)[:, :2].T)) < 0.02
+    assert np.hypot(*np.array(errors)[:, :2].T).max() < 0.1
 
 
 def test_a_changed_map_and_a_lost_robot_are_noticed_at_once() -> None:
