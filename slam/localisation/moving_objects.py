@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.compiled import compiled
 
-from ..geometry.segments import CornerPoints, Floats, Integers, Segments
+from ..geometry.segments import CornerPoints, Floats, Segments
 from ..matching.point_costs import COARSE_SIGMA, costs_of_points
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints, segments_of
 from .match_target import MatchTarget, ScanMatch, points_of
+from .pose_predictor import information_of
+from .prediction_error import PREDICTION_SIGMAS
 
 # Cost of an object having moved since it was mapped, a few metres before. Origin: chosen, one small object in five is
 # a person; not measured.
@@ -36,6 +38,11 @@ COINCIDENCE = -2.0 * math.log(COARSE_SIGMA)
 # Metres, largest size of an object that may move: the width of a person with a bag. Origin: chosen; with 1.2 m, a slip
 # of the wheels in fr079 counted as furniture that had moved.
 MAX_SIZE = 0.8
+# Cost of odometry failing from one comparison of motions to the next. Origin: chosen, it fails for long once in ten
+# thousand comparisons, a kilometre, and that is decided by two of them.
+FAILURE = 0.5 * math.log(1e4)
+# Objects that may move together with the robot for a while. Origin: chosen, a group of people around it.
+COMPANY = 5
 # Metres between the points of neighbouring beams of one object. Origin: chosen, the step of a walking person.
 MAX_GAP = 0.3
 
@@ -54,27 +61,52 @@ def match_without_moving(
     excess = match.points.prediction.cost_of(match.points.pose) - usual.least_cost
     if excess <= MOVED:
         return None
-    points = points_of(scan)
-    rows = np.asarray(_rows_before(points, scan.points.xy))
-    objects = _objects(points, _on_walls(points, scan.segments))
-    moving, cost = np.zeros(len(points), dtype=np.bool_), 0.0
-    for moved in _by_gain(objects, points, target, usual.pose, match.points.pose):
+    small = _SmallObjects(scan)
+    cost, moved = 0.0, []
+    for number in small.by_gain(target, usual.pose, match.points.pose):
         cost += MOVED + (COINCIDENCE if cost else 0.0)
         if cost >= excess:
             return None
-        moving |= objects == moved
-        static = target.match(without_points(scan, moving[rows]), predictions)
+        moved.append(number)
+        static = target.match(small.removed(moved), predictions)
         known = static.known >= MIN_KNOWN_POINTS and not static.poor
         if not static.contradicts(usual) and known and static.points.cost + cost < match.points.cost:
             return static
     return None
 
 
-def _by_gain(objects: Integers, points: Floats, target: MatchTarget, usual: se2.Pose, pose: se2.Pose) -> list[int]:
-    """Return the objects (numbers from 0 on) that fit better at `pose` than at the `usual` one, the clearest first."""
-    at_pose, at_usual = (costs_of_points(target.field.arrays, points, at) for at in (pose, usual))
-    gains = np.bincount(objects + 1, at_usual - at_pose, minlength=int(objects.max(initial=-1)) + 2)[1:]
-    return [number for number in np.argsort(-gains).tolist() if gains[number] > 0.0]
+def contradicts_without_company(usual: Prediction, pose: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> bool:
+    """Return True if a scan contradicts odometry even without the objects that do so most, up to COMPANY of them.
+
+    People who walk with the robot contradict odometry for as long as they do so.
+
+    usual  prediction by odometry
+    pose   [x, y, heading] of the base where the whole scan fits
+    """
+    small = _SmallObjects(scan)
+    rest = small.removed(small.by_gain(target, usual.pose, pose)[:COMPANY])
+    slip = Prediction(pose, information_of(PREDICTION_SIGMAS), FAILURE)
+    return target.match(rest, [usual, slip]).contradicts(usual)
+
+
+class _SmallObjects:
+    """Objects of a scan that are small enough to move, numbered from 0 on."""
+
+    def __init__(self, scan: ScanFeatures) -> None:
+        self._scan, self._points = scan, points_of(scan)
+        self._numbers = np.asarray(_objects(self._points, _on_walls(self._points, scan.segments)))  # -1: on none
+
+    def by_gain(self, target: MatchTarget, usual: se2.Pose, pose: se2.Pose) -> list[int]:
+        """Return the objects that fit better with the base at `pose` than at the `usual` one, the clearest first."""
+        at_pose, at_usual = (costs_of_points(target.field.arrays, self._points, at) for at in (pose, usual))
+        count = int(self._numbers.max(initial=-1)) + 1
+        gains = np.bincount(self._numbers + 1, at_usual - at_pose, minlength=count + 1)[1:]
+        return [number for number in np.argsort(-gains).tolist() if gains[number] > 0.0]
+
+    def removed(self, objects: Sequence[int]) -> ScanFeatures:
+        """Return the scan without some of the objects."""
+        rows = np.asarray(_rows_before(self._points, self._scan.points.xy))
+        return without_points(self._scan, np.isin(self._numbers, objects)[rows])
 
 
 def _on_walls(points: Floats, segments: Segments) -> NDArray[np.bool_]:

@@ -7,6 +7,10 @@ its velocity, odometry is not used any more, until it agrees with the scans over
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
+
 from drivers import se2
 
 from ..geometry.segments import Floats
@@ -14,7 +18,8 @@ from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import KERNEL, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
+from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, VelocityFilter
+from .prediction_error import PREDICTION_SIGMAS
 from .tracking import PoseFix
 
 # Seconds for which a robot moves evenly: after that time it may have any velocity.
@@ -40,6 +45,7 @@ class OdometryComparison:
     def __init__(self, contradicted_for: float = 0.0) -> None:
         self.contradicted_for = contradicted_for
         self._start: PoseFix | None = None  # of the present comparison; None before the next fix
+        self._velocity = VelocityFilter()  # at the start
         self._seconds = 0.0  # since then
 
     @property
@@ -62,16 +68,29 @@ class OdometryComparison:
             self._start = PoseFix(se2.compose(se2.compose(fix.pose, correction), relative), self._start.odometry)
 
     def add(
-        self, fix: PoseFix, covariance: Floats, seconds: float, model: OdometryModel, prediction_error: Floats
+        self,
+        fix: PoseFix,
+        covariance: Floats,
+        velocity: VelocityFilter,
+        seconds: float,
+        model: OdometryModel,
+        prediction_error: Floats,
+        is_certain: Callable[[Prediction], bool],
     ) -> None:
         """Add the fix of a tracked scan.
 
-        covariance        (3, 3) of the fix
+        A motion counts if a gross error along it would be noticed. So the comparison continues until that does not fail
+        for the errors of predictions, and nothing changes if it fails for those of the scans, as in a bare corridor. A
+        contradiction counts if it is certain, and if the robot moves evenly by the scans.
+
+        covariance        (3, 3) of the fix, by the scan alone
+        velocity          at the fix
         seconds           since the fix before; zero if it does not count
         prediction_error  (3, 3) covariance of predictions besides that of the `model`
+        is_certain        returns True if the scan certainly contradicts a prediction by odometry
         """
         if self._start is None:
-            self._start, self._seconds = fix, 0.0
+            self._start, self._velocity, self._seconds = fix, velocity, 0.0
             return
         self._seconds += seconds
         by_odometry, by_scans = self._start.odometry_motion(fix.odometry), se2.between(self._start.pose, fix.pose)
@@ -79,11 +98,28 @@ class OdometryComparison:
         if travel < COMPARED_TRAVEL:
             return
         motion = model.correct(by_odometry)
-        error = model.covariance(motion) + prediction_error + 2.0 * covariance
-        contradicts = (
-            wheel_travel(se2.between(motion, by_scans)) > GROSS_ERROR * travel
-            and Prediction(motion, inverse(error)).squared_distance(by_scans) > KERNEL**2
-        )
-        seconds = min(self._seconds, MAX_COMPARED_SECONDS)
-        self.contradicted_for = self.contradicted_for + seconds if contradicts else 0.0
-        self._start, self._seconds = fix, 0.0
+        error = model.covariance(motion) + prediction_error
+        gross = GROSS_ERROR * max(motion, by_scans, key=wheel_travel)
+        if not _is_noticed(gross, error):
+            return
+        if _is_noticed(gross, error + 2.0 * covariance):
+            difference = se2.between(motion, by_scans)
+            if wheel_travel(difference) <= GROSS_ERROR * travel or not _is_noticed(
+                difference, error + 2.0 * covariance
+            ):
+                self.contradicted_for = 0.0
+            elif self._is_even(by_scans) and is_certain(
+                Prediction(se2.compose(self._start.pose, motion), inverse(error))
+            ):
+                self.contradicted_for += min(self._seconds, MAX_COMPARED_SECONDS)
+        self._start, self._velocity, self._seconds = fix, velocity, 0.0
+
+    def _is_even(self, motion: se2.Pose) -> bool:
+        """Return True if a motion since the start of the comparison continues the one before."""
+        sigmas = self._velocity.deviations(self._seconds) + PREDICTION_SIGMAS
+        return not _is_noticed(se2.between(self._velocity.motion(self._seconds), motion), np.diag(sigmas**2))
+
+
+def _is_noticed(difference: se2.Pose, covariance: Floats) -> bool:
+    """Return True if a difference of two motions exceeds their errors, of covariance (3, 3)."""
+    return bool(difference @ inverse(covariance) @ difference > KERNEL**2)

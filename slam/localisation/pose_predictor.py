@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import replace
 
@@ -168,10 +169,17 @@ class PosePredictor:
         difference, of_match = se2.between(usual.pose, match.pose), inverse(match.information + CONDITIONING)
         self._prediction_error.add(difference, inverse(usual.information).diagonal(), of_match.diagonal())
 
-    def update(self, result: TrackingResult, odometry: se2.Pose, alternative: tuple[se2.Pose, float] | None) -> None:
+    def update(
+        self,
+        result: TrackingResult,
+        odometry: se2.Pose,
+        alternative: tuple[se2.Pose, float] | None,
+        is_certain: Callable[[Prediction], bool],
+    ) -> None:
         """Keep the pose of a scan as the fix or as tentative, by its status.
 
         alternative  pose where a tentative scan fits odometry, and by how much it costs more there; None without one
+        is_certain   returns True if the scan certainly contradicts a prediction by odometry that it contradicts
         """
         self._tentative = self._alternative = None
         if result.status is TrackingStatus.NO_FEATURES:
@@ -196,7 +204,8 @@ class PosePredictor:
             # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
             seconds = (self._since_fix or 0.0) if self._interval <= STEADY_SECONDS else 0.0
             error = self._prediction_error.covariance
-            self._comparison.add(fix, result.registered_covariance, seconds, self.model, error)
+            by_scan = np.asarray(inverse(result.registration.total_information + CONDITIONING))
+            self._comparison.add(fix, by_scan, self.velocity, seconds, self.model, error, is_certain)
         self._slips.add(slipped=result.slipped)
         self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
 

@@ -13,8 +13,9 @@ wrong headings. So all poses that the robot can reach by accelerating are search
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
 from .match_target import MatchTarget, ScanMatch
-from .moving_objects import match_without_moving
+from .moving_objects import contradicts_without_company, match_without_moving
 from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
 from .prediction_error import PREDICTION_SIGMAS
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
@@ -165,18 +166,26 @@ class Tracker:
             from_tentative=match.points.prediction in from_last_tentative,
             contradicts_old_map=alone is not None,
         )
-        self._update(result, match, predictions[0], odometry)
+        is_certain = partial(contradicts_without_company, pose=match.points.pose, scan=scan, target=target)
+        self._update(result, match, predictions[0], odometry, is_certain)
         return result
 
-    def _update(self, result: TrackingResult, match: ScanMatch, usual: Prediction, odometry: se2.Pose) -> None:
-        """Keep what the predictions of the next scans need of a match."""
+    def _update(
+        self,
+        result: TrackingResult,
+        match: ScanMatch,
+        usual: Prediction,
+        odometry: se2.Pose,
+        is_certain: Callable[[Prediction], bool],
+    ) -> None:
+        """Keep what the predictions of the next scans need of a match; for `is_certain` see `PosePredictor.update`."""
         if result.status is TrackingStatus.TRACKED:
             self._last_score, self._untracked_in_a_row = match.score, 0
             if self.measured:
                 self._predictor.learn(usual, match.points)
         elif result.status is not TrackingStatus.NO_FEATURES:
             self._untracked_in_a_row += 1
-        self._predictor.update(result, odometry, _alternative(match, usual) if self.measured else None)
+        self._predictor.update(result, odometry, _alternative(match, usual) if self.measured else None, is_certain)
 
     @property
     def measured(self) -> bool:

@@ -13,23 +13,42 @@ from slam.geometry.segments import Floats
 from slam.localisation.odometry_comparison import STEADY_SECONDS, OdometryComparison
 from slam.localisation.pose_predictor import PosePredictor
 from slam.localisation.tracking import PoseFix
+from slam.matching.point_matcher import Prediction
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.velocity import VelocityFilter
 
 from ..tracking_results import tracking_result
 
 STEP = np.array([0.05, 0.0, 0.0])  # motion between two scans
 PERIOD = 0.1  # seconds
 SIGMAS = np.array([0.003, 0.003, 0.002])
+CORRIDOR = np.array([1.0, 0.003, 0.002])  # errors of a scan that does not determine the position along the walls
 
 
-def failing(motions: Iterable[tuple[Floats, Floats]], period: float = PERIOD) -> list[bool]:
-    """Return whether odometry fails after each motion by the scans and by odometry, [x, y, heading]."""
+def certain(_prediction: Prediction) -> bool:
+    return True
+
+
+def failing(
+    motions: Iterable[tuple[Floats, Floats]],
+    period: float = PERIOD,
+    sigmas: Floats = SIGMAS,
+    *,
+    is_certain: bool = True,
+) -> list[bool]:
+    """Return whether odometry fails after each motion by the scans and by odometry, [x, y, heading].
+
+    sigmas      (3,) standard deviations of the poses by the scans
+    is_certain  whether the scans certainly contradict odometry if they do
+    """
     comparison, model, random = OdometryComparison(), OdometryModel(OdometryConfig()), np.random.default_rng(3)
     pose, odometry, found = np.zeros(3), np.zeros(3), []
     for by_scans, by_odometry in motions:
         pose, odometry = se2.compose(pose, by_scans), se2.compose(odometry, by_odometry)
         fix = PoseFix(se2.compose(pose, SIGMAS * random.standard_normal(3)), odometry)
-        comparison.add(fix, np.diag(SIGMAS**2), period, model, np.diag(SIGMAS**2))
+        comparison.add(
+            fix, np.diag(sigmas**2), VelocityFilter(), period, model, np.diag(SIGMAS**2), lambda _prediction: is_certain
+        )
         found.append(comparison.failing)
     return found
 
@@ -40,6 +59,26 @@ def test_odometry_fails_after_the_time_in_which_a_robot_changes_its_velocity() -
     assert STEADY_SECONDS <= (begin - 19) * PERIOD < STEADY_SECONDS + 0.4
     assert 40 <= end < 44
     assert all(found[begin:end])
+
+
+def test_people_who_walk_with_the_robot_do_not_make_odometry_fail() -> None:
+    assert not any(failing([(0.0 * STEP, STEP)] * 100, is_certain=False))
+
+
+def test_scans_that_do_not_determine_the_motion_change_nothing() -> None:
+    assert not any(failing([(0.0 * STEP, STEP)] * 100, sigmas=CORRIDOR))
+    comparison, model = OdometryComparison(contradicted_for=STEADY_SECONDS), OdometryModel(OdometryConfig())
+    for k in range(100):
+        comparison.add(
+            PoseFix(k * STEP, k * STEP),
+            np.diag(CORRIDOR**2),
+            VelocityFilter(),
+            PERIOD,
+            model,
+            np.diag(SIGMAS**2),
+            certain,
+        )
+    assert comparison.failing
 
 
 @pytest.mark.parametrize("scale", [0.8, 1.25])
@@ -65,7 +104,7 @@ def test_a_correction_of_the_map_is_no_motion() -> None:
     pose, fix = np.zeros(3), PoseFix(np.zeros(3), np.zeros(3))
     for k in range(60):
         pose, fix = se2.compose(fix.pose, STEP), PoseFix(se2.compose(fix.pose, STEP), k * STEP)
-        comparison.add(fix, np.diag(SIGMAS**2), PERIOD, model, np.diag(SIGMAS**2))
+        comparison.add(fix, np.diag(SIGMAS**2), VelocityFilter(), PERIOD, model, np.diag(SIGMAS**2), certain)
         if k % 3 == 0:  # a loop is closed
             correction = np.array([0.8, -0.5, 0.2])
             comparison.follow(correction, fix)
@@ -83,7 +122,7 @@ def test_the_motion_is_predicted_to_be_even_while_odometry_fails() -> None:
             np.testing.assert_allclose(predictions[0].pose, pose, atol=0.005)
         slipped = k >= 20
         result = tracking_result(pose=pose, information=1e6 * np.eye(3), slipped=slipped)
-        predictor.update(result, odometry, None)
+        predictor.update(result, odometry, None, certain)
         pose = pose + STEP
         odometry = odometry if k >= 19 else odometry + STEP
     assert predictor.odometry_fails

@@ -9,12 +9,17 @@ from drivers import se2
 from slam.config import OdometryConfig
 from slam.localisation.pose_predictor import PosePredictor
 from slam.localisation.tracking import TrackingStatus
+from slam.matching.point_matcher import Prediction
 from slam.odometry.error_model import OdometryModel
 
 from ..tracking_results import tracking_result
 
 STEP = np.array([0.1, 0.0, 0.0])  # of odometry between two scans
 INFORMATION = 1e6 * np.eye(3)
+
+
+def certain(_prediction: Prediction) -> bool:
+    return True
 
 
 def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() -> None:
@@ -24,12 +29,15 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
     odometry = np.zeros(3)
     for k in range(2):
         predictor.predict(0.1 * k, odometry)
-        predictor.update(tracking_result(pose=odometry, information=INFORMATION), odometry, None)
+        predictor.update(tracking_result(pose=odometry, information=INFORMATION), odometry, None, certain)
         odometry = odometry + STEP
     before = predictor.predict(0.2, odometry)[0]
     np.testing.assert_allclose(before.pose, odometry, atol=1e-9)
     predictor.update(
-        tracking_result(TrackingStatus.TENTATIVE, pose=tentative, information=INFORMATION), odometry, (alternative, 4.0)
+        tracking_result(TrackingStatus.TENTATIVE, pose=tentative, information=INFORMATION),
+        odometry,
+        (alternative, 4.0),
+        certain,
     )
     usual, *_, from_tentative, _even = predictor.predict(0.3, odometry + STEP)
     np.testing.assert_allclose(usual.pose, se2.compose(alternative, STEP), atol=1e-9)
@@ -42,9 +50,9 @@ def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     predictor = PosePredictor(OdometryModel(OdometryConfig()))
     predictor.move_to(np.zeros(3), np.zeros(3))
     predictor.predict(0.0, np.zeros(3))
-    predictor.update(tracking_result(information=INFORMATION), np.zeros(3), None)
+    predictor.update(tracking_result(information=INFORMATION), np.zeros(3), None, certain)
     predictor.predict(0.1, STEP)
-    predictor.update(tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1])), STEP, None)
+    predictor.update(tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1])), STEP, None, certain)
     usual = predictor.predict(0.2, 2 * STEP)[0]
     np.testing.assert_allclose(usual.pose, 2 * STEP, atol=1e-9)
     assert usual.cost == pytest.approx(-np.log(20.0 / 21.0))  # no more than that of odometry without a slip
@@ -56,7 +64,7 @@ def test_the_cost_of_a_slip_follows_from_the_scans_that_slipped_and_is_saved() -
     for slipped in (False, True):
         for k in range(20):
             predictor.predict(0.1 * k, np.zeros(3))
-            predictor.update(tracking_result(slipped=slipped), np.zeros(3), None)
+            predictor.update(tracking_result(slipped=slipped), np.zeros(3), None, certain)
         usual, slip, *_ = predictor.predict(2.0, np.zeros(3))
         costs.append((usual.cost, slip.cost))
     # The first of 20 slips followed 20 scans without one, and the others each followed a slip.
