@@ -104,9 +104,8 @@ class OdometryComparison:
             return
         if _is_noticed(gross, error + 2.0 * covariance):
             difference = se2.between(motion, by_scans)
-            if wheel_travel(difference) <= GROSS_ERROR * travel or not _is_noticed(
-                difference, error + 2.0 * covariance
-            ):
+            is_gross = wheel_travel(difference) > GROSS_ERROR * travel
+            if not is_gross or not _is_noticed(difference, error + 2.0 * covariance):
                 self.contradicted_for = 0.0
             elif self._is_even(by_scans) and is_certain(
                 Prediction(se2.compose(self._start.pose, motion), inverse(error))
