@@ -47,6 +47,7 @@ class OdometryComparison:
         self._start: PoseFix | None = None  # of the present comparison; None before the next fix
         self._velocity = VelocityFilter()  # at the start
         self._seconds = 0.0  # since then
+        self._undetermined = 0.0  # seconds since the scans last determined whether odometry fails
 
     @property
     def failing(self) -> bool:
@@ -79,8 +80,9 @@ class OdometryComparison:
     ) -> None:
         """Add the fix of a tracked scan.
 
-        A motion counts if a gross error along it would be noticed. So the comparison continues until that does not fail
-        for the errors of predictions, and nothing changes if it fails for those of the scans, as in a bare corridor. A
+        A motion counts if a gross error along it would be noticed: the comparison continues until the errors of
+        predictions are small enough for that. If those of the scans are too large, as in a bare corridor, the motion is
+        not determined. After STEADY_SECONDS of that, odometry is used again: a robot may have any velocity by then. A
         contradiction counts if it is certain, and if the robot moves evenly by the scans.
 
         covariance        (3, 3) of the fix, by the scan alone
@@ -102,16 +104,35 @@ class OdometryComparison:
         gross = GROSS_ERROR * max(motion, by_scans, key=wheel_travel)
         if not _is_noticed(gross, error):
             return
-        if _is_noticed(gross, error + 2.0 * covariance):
-            difference = se2.between(motion, by_scans)
-            is_gross = wheel_travel(difference) > GROSS_ERROR * travel
-            if not is_gross or not _is_noticed(difference, error + 2.0 * covariance):
-                self.contradicted_for = 0.0
-            elif self._is_even(by_scans) and is_certain(
-                Prediction(se2.compose(self._start.pose, motion), inverse(error))
-            ):
-                self.contradicted_for += min(self._seconds, MAX_COMPARED_SECONDS)
+        self._compare(by_scans, motion, gross, error + 2.0 * covariance, is_certain)
         self._start, self._velocity, self._seconds = fix, velocity, 0.0
+
+    def _compare(
+        self,
+        by_scans: se2.Pose,
+        motion: se2.Pose,
+        gross: se2.Pose,
+        error: Floats,
+        is_certain: Callable[[Prediction], bool],
+    ) -> None:
+        """Compare a motion by the scans with that by odometry.
+
+        gross  error that would be noticed
+        error  (3, 3) covariance of the difference of both motions
+        """
+        assert self._start is not None
+        difference = se2.between(motion, by_scans)
+        if wheel_travel(difference) > wheel_travel(gross) and _is_noticed(difference, error):
+            self._undetermined = 0.0
+            usual = Prediction(se2.compose(self._start.pose, motion), inverse(error))
+            if self._is_even(by_scans) and is_certain(usual):
+                self.contradicted_for += min(self._seconds, MAX_COMPARED_SECONDS)
+        elif _is_noticed(gross, error):
+            self.contradicted_for = self._undetermined = 0.0
+        else:
+            self._undetermined += self._seconds
+            if self._undetermined > STEADY_SECONDS:
+                self.contradicted_for = 0.0
 
     def _is_even(self, motion: se2.Pose) -> bool:
         """Return True if a motion since the start of the comparison continues the one before."""
