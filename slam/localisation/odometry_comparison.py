@@ -122,17 +122,17 @@ class OdometryComparison:
         """
         assert self._start is not None
         difference = se2.between(motion, by_scans)
-        if wheel_travel(difference) > wheel_travel(gross) and _is_noticed(difference, error):
-            self._undetermined = 0.0
-            usual = Prediction(se2.compose(self._start.pose, motion), inverse(error))
-            if self._is_even(by_scans) and is_certain(usual):
-                self.contradicted_for += min(self._seconds, MAX_COMPARED_SECONDS)
-        elif _is_noticed(gross, error):
-            self.contradicted_for = self._undetermined = 0.0
-        else:
-            self._undetermined += self._seconds
+        contradicts = wheel_travel(difference) > wheel_travel(gross) and _is_noticed(difference, error)
+        if not _is_noticed(gross, error):
+            self._undetermined = 0.0 if contradicts else self._undetermined + self._seconds
             if self._undetermined > STEADY_SECONDS:
                 self.contradicted_for = 0.0
+            return
+        self._undetermined = 0.0
+        if not contradicts:
+            self.contradicted_for = 0.0
+        elif self._is_even(by_scans) and is_certain(Prediction(se2.compose(self._start.pose, motion), inverse(error))):
+            self.contradicted_for += min(self._seconds, MAX_COMPARED_SECONDS)
 
     def _is_even(self, motion: se2.Pose) -> bool:
         """Return True if a motion since the start of the comparison continues the one before."""
