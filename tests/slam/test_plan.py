@@ -203,24 +203,24 @@ def test_a_robot_localises_in_a_plan_from_anywhere(sparse_drive: list[Message], 
 
 
 def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns() -> None:
-    """The plan shows the southern part of a building. With bad wheels, the drift in the other part is metres.
+    """The plan shows the southern part of a building. With bad wheels, the drift in the other part is half a metre.
 
     The robot drives round the building, and is back in the southern part after 110 s.
     """
     segments = load_world("square").segments.reshape(-1, 2, 2)
     shown = segments[segments[..., 1].max(axis=1) < 5.0]
     plan = build_plan_map(Plan("square", shown, np.zeros(len(shown), dtype=bool), 1e-3), SIGMAS)
-    lidar, wheels = replace(LIDAR_MODELS["short"], rate=2.5), WHEEL_MODELS["bad"]
+    lidar, wheels = replace(LIDAR_MODELS["short"], rate=4.0, range_max=8.0), WHEEL_MODELS["bad"]
     messages = list(Simulation("square", seed=2, duration=135.0, lidar=lidar, wheels=wheels))
     start = next(message.pose for message in messages if isinstance(message, GroundTruth))
     slam = Slam(Config(loop_closure=LoopClosureConfig(enabled=False)), plan=plan, start=start)
     drift = 0.0
     for message in messages:
         slam.add(message)
-        if isinstance(message, GroundTruth) and message.stamp < 110.0:
+        if isinstance(message, GroundTruth) and 10.0 < message.stamp < 110.0:  # the place is recognised after some 5 s
             drift = max(drift, float(np.hypot(*(slam.pose - message.pose)[:2])))
-    assert drift > 1.0
-    assert errors(slam.finish(), messages).max() < 0.3
+    assert drift > 0.5
+    assert errors(slam.finish(), messages).max() < 0.2
 
 
 def test_a_plan_that_is_localised_in_can_be_extended(sparse_drive: list[Message], tmp_path: Path) -> None:
