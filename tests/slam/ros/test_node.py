@@ -406,7 +406,7 @@ def test_a_plan_helps_mapping_and_gives_the_frame(tmp_path: Path) -> None:
     walls = load_world("room").segments.reshape(-1, 2, 2)
     shifted = walls + np.array([20.0, 10.0])
     plan.write_text(json.dumps({"type": "MultiLineString", "coordinates": shifted.tolist(), "units": "m"}))
-    record_office(recording, "sim:room?duration=10")
+    record_office(recording, "sim:room?duration=10&lidar=short")
     options = ["--plan", str(plan), "--start", "21,11,0"]
     run_node(link, robot_messages(recording), tmp_path / "online", {}, options=options)
     found = json.loads((tmp_path / "online" / SUMMARY).read_text())["plan"]
