@@ -208,7 +208,7 @@ def test_a_session_is_written_whatever_its_values_are_and_the_reader_names_the_i
 )
 def test_a_session_of_settings_at_their_limits_is_read_back(tmp_path: Path, settings: list[str]) -> None:
     slam = Slam(load_config(overrides=settings))
-    for message in Simulation("office", seed=3, duration=4.0, lidar=LidarModel(beams=360)):
+    for message in Simulation("office", seed=3, duration=4.0, lidar=LidarModel(beams=360, rate=5.0)):
         slam.add(replace(message, ranges=message.ranges * 10.0) if isinstance(message, Scan) else message)
     slam.finish()
     write_directory(tmp_path, slam.session)

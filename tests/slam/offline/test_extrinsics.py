@@ -80,7 +80,7 @@ def test_correction_undoes_wrong_wheels() -> None:
 def test_too_little_data_is_an_error() -> None:
     with pytest.raises(MapError, match="too few to calibrate"):
         calibrate([])
-    simulation = Simulation("office", duration=3.0)
+    simulation = Simulation("office", duration=3.0, lidar=ROBOT)
     with pytest.raises(MapError, match="too few to calibrate"):
         calibrate([message for message in simulation if isinstance(message, Scan | Odometry)])
 
