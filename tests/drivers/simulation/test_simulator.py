@@ -146,9 +146,9 @@ def test_a_wall_at_grazing_incidence_has_no_mixed_pixels() -> None:
 def test_slip_is_as_stated_and_biases_are_drawn_per_seed() -> None:
     wheels = replace(PERFECT, slip=0.01)
     straight = replace(square(100.0), waypoints=np.array([[0.0, 0.0], [40.0, 0.0]]))
-    finals = []
+    lidar, finals = replace(QUIET, beams=1, rate=1.0), []
     for seed in range(120):
-        simulation = Simulation(straight, seed=seed, duration=3.0, wheels=wheels, lidar=replace(QUIET, beams=1, rate=1.0))
+        simulation = Simulation(straight, seed=seed, duration=3.0, wheels=wheels, lidar=lidar)
         messages = list(simulation)
         last = [message for message in messages if isinstance(message, Odometry)][-1]
         truth = truth_of(messages)

@@ -145,9 +145,10 @@ def test_optimize_refines_a_session(wclm: Any, session: Path) -> None:
 
 
 def test_optimize_maps_and_refines_a_recording(wclm: Any) -> None:
-    result = wclm("optimize", "sim:room?duration=5&lidar=short", "--out", "room", "--no-review")
+    drive = "sim:room?duration=5&lidar=short"
+    result = wclm("optimize", drive, "--out", "room", "--no-review")
     assert result.exit_code == 0, result.output
-    assert wclm("run", "sim:room?duration=5&lidar=short", "--continue", "room", "--out", "more", "--no-review").exit_code == 0
+    assert wclm("run", drive, "--continue", "room", "--out", "more", "--no-review").exit_code == 0
     wclm.refuses("optimize", "nowhere.txt", "--out", "x", because=["nowhere.txt"])
 
 

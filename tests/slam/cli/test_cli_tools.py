@@ -98,13 +98,14 @@ def test_run_names_the_gaps_that_info_names(wclm: Any, tmp_path: Path) -> None:
 
 
 def test_features_prints_and_plots_one_scan(wclm: Any, tmp_path: Path) -> None:
-    result = wclm("features", "sim:room?duration=3", "--scan", "7", "--plot", "scan.png")
+    drive = "sim:room?duration=3"
+    result = wclm("features", drive, "--scan", "7", "--plot", "scan.png")
     assert result.exit_code == 0, result.output
     assert "sim:room, scan 7 at 0.713 s" in result.stdout
     assert re.search(r"^ +0 +\d+ +\d+\.\d{3} ", result.stdout, re.MULTILINE)
     assert (tmp_path / "scan.png").stat().st_size > 10_000
-    wclm.refuses("features", "sim:room?duration=3", "--scan", "29", because=["has 29 scans, from 0; there is no scan 29"])
-    assert wclm("features", "sim:room?duration=3", "--scan", "-1").exit_code == 2
+    wclm.refuses("features", drive, "--scan", "29", because=["has 29 scans, from 0; there is no scan 29"])
+    assert wclm("features", drive, "--scan", "-1").exit_code == 2
 
 
 @pytest.fixture
