@@ -18,7 +18,7 @@ from slam.io.sessions import StoredSession, read_session, write_session
 from slam.mapping.map_features import MapWalls
 from slam.mapping.wall_cells import WALL_CELL
 
-LIDAR = LidarModel(beams=180, rate=4.0)
+LIDAR = LidarModel(beams=240, rate=5.0)
 NOTHING = np.zeros((0, 4)), np.zeros((0, 3))
 PATH = np.array([[1.2, 1.2], [6.8, 1.2], [6.8, 4.8], [1.2, 4.8], [1.2, 1.4], [6.5, 1.4]])
 START = np.array([1.2, 1.2, 0.0])  # first pose on this path: the map's frame in the world
