@@ -34,6 +34,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with modules that share a long run: a process that takes over some of their tests would repeat the run."""
     items.sort(key=lambda item: item.get_closest_marker("shared_run") is None)
+    gc.freeze()  # modules and tests stay to the end: collections of garbage need not search them, nor those at the end
 
 
 @pytest.fixture(autouse=True, scope="session")

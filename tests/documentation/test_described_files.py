@@ -31,7 +31,8 @@ def test_the_header_of_a_session_is_described_completely() -> None:
 
 
 def test_the_summary_of_a_run_is_described_completely(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["run", "sim:room?duration=3", "--out", str(tmp_path / "out"), "--no-review"])
+    arguments = ["run", "sim:room?duration=3&lidar=short", "--out", str(tmp_path / "out"), "--no-review"]
+    result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     summary = json.loads((tmp_path / "out" / SUMMARY).read_text())
     described = set(re.findall(r"`([a-z_0-9]+)`", PAGE.split("## `summary.json`")[1].split("\n## ")[0]))

@@ -39,7 +39,7 @@ from .worker import MAX_MEMORY, peak_memory
 
 MAX_SECONDS = 5.0
 """Processor time of a command."""
-DRIVE = "sim:office?seed=3&duration=5"
+DRIVE = "sim:office?seed=3&duration=5&lidar=short"
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ SWEEPS = [
 
 def make_files(folder: Path) -> None:
     """Write all files that are damaged, and what their commands need besides them."""
-    for name, drive in (("run", "office?seed=4&duration=12"), ("other", "office?seed=5&duration=14")):
-        succeed(["run", f"sim:{drive}", "--out", str(folder / name), "--no-review"])
+    for name, drive in (("run", "seed=4&duration=12"), ("other", "seed=5&duration=14")):
+        succeed(["run", f"sim:office?{drive}&lidar=short", "--out", str(folder / name), "--no-review"])
     succeed(["correct", str(folder / "run"), "--delete-wall", "0", "--out", str(folder / "corrected")])
     for suffix in ("geojson", "dxf", "svg"):
         succeed(["map", str(folder / "other"), "--format", suffix, "--out", str(folder / f"plan.{suffix}")])

@@ -16,7 +16,7 @@ from slam.evaluation.metrics import score_reference
 from slam.events import EventRecorder, StateChanged
 from slam.io.tum import Trajectory
 
-SHORT_SIGHTED = LidarModel(beams=360, range_max=12.0)
+SHORT_SIGHTED = LidarModel(beams=180, range_max=12.0)
 
 
 @pytest.mark.parametrize("seed", [0, 1])

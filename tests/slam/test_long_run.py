@@ -19,7 +19,7 @@ from slam.events import Finished
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
 
-RATE = 5.0
+RATE = 4.0
 STANDING = 60.0
 """Seconds for which the robot stands."""
 OUTER = 7.0 * np.array([[-1, -1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1], [-1, 1, -1, -1]])

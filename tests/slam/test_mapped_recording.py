@@ -23,7 +23,7 @@ from slam.errors import SlamError
 from slam.io.exports import write_pgm
 from slam.io.tum import read_tum_poses
 
-ROOM = "sim:room?duration=10&seed=2"
+ROOM = "sim:room?duration=10&seed=2&lidar=short"
 
 
 @pytest.fixture(scope="module")

@@ -101,7 +101,7 @@ def test_odometry_that_contradicts_a_scan_is_a_warning_only_if_it_is_far_off(
 
 @pytest.mark.parametrize(("world", "duration", "bound"), [("room", 20.0, 0.006), ("office", 20.0, 0.015)])
 def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float, bound: float) -> None:
-    messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=180, rate=5.0)))
+    messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=180, rate=4.0)))
     finished = run(messages)
     assert error(finished, messages) < bound
     odometry = [message.stamp for message in messages if isinstance(message, Odometry)]

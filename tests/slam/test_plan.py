@@ -59,8 +59,8 @@ def drive() -> list[Message]:
 
 @pytest.fixture(scope="module")
 def sparse_drive() -> list[Message]:
-    """Return the same drive with half as many scans."""
-    return list(Simulation("office", seed=2, duration=30.0, lidar=LidarModel(rate=5.0)))
+    """Return the same drive with half as many scans, and fewer beams."""
+    return list(Simulation("office", seed=2, duration=30.0, lidar=FEW_BEAMS))
 
 
 def run(messages: Sequence[Message], slam: Slam) -> Finished:

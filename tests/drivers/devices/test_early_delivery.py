@@ -13,7 +13,6 @@ from drivers import Message, Odometry, Scan
 from drivers.devices.acquisition import Acquisition
 from drivers.devices.device_spec import parse_devices
 from drivers.devices.early_delivery import MAX_PAUSE, EarlyDelivery
-from drivers.devices.packet_stamper import SETTLING_SECONDS
 from drivers.devices.reorder_buffer import ReorderBuffer
 from drivers.recordings.mcap import McapReader
 
@@ -100,23 +99,35 @@ def test_every_message_is_delivered_once_and_those_of_a_device_in_order(steps: l
         assert own == sorted(own)
 
 
+@given(st.lists(st.tuples(st.sampled_from([BASE, LIDAR]), st.floats(0.0, MAX_PAUSE - 0.01)), max_size=60))
+def test_every_message_is_delivered_as_it_arrives_while_odometry_does(steps: list[tuple[int, float]]) -> None:
+    delivery, ends = started(), [0.13, 0.11]
+    for device, pause in steps:
+        begin = ends[device] + pause
+        ends[device] = begin + (0.1 if device == LIDAR else 1e-3)
+        delivery.put(device, scan(begin) if device == LIDAR else odometry(begin))
+        assert stamps(delivery.delivered[-1:]) == [(Scan if device == LIDAR else Odometry, round(begin, 3))]
+
+
 def test_a_live_consumer_gets_what_is_recorded(peer: Any, tmp_path: Path) -> None:
-    """The same messages, each device in order, but odometry before the scan in which it was measured."""
-    path, messages = tmp_path / "drive.mcap", []
+    """The same messages, each device in order, but odometry before the scan in which it was measured.
+
+    In the order of the stamps, no scan would follow such odometry. On a busy host some scans arrive before it, so the
+    devices run until ten scans have followed it.
+    """
+    path, messages, early = tmp_path / "drive.mcap", [], 0
     with Acquisition(parse_devices(peer.spec), path, in_order=False) as acquisition:
-        while len(messages) < 150:
+        while early < 10:
             if (message := acquisition.receive(0.1)) is not None:
+                early += isinstance(message, Scan) and bool(messages) and messages[-1].stamp > message.stamp
                 messages.append(message)
+            assert len(messages) < 1500
         acquisition.stop()
         messages += list(acquisition)
     recorded = list(McapReader(path))
     for kind in (Odometry, Scan):
         own = [message.stamp for message in messages if isinstance(message, kind)]
         assert own == [message.stamp for message in recorded if isinstance(message, kind)]
-    scans = [k for k, message in enumerate(messages) if isinstance(message, Scan)]
-    settled = messages[scans[0]].stamp + SETTLING_SECONDS  # scans before arrive together, when the clock has settled
-    during = [messages[k - 1].stamp > messages[k].stamp for k in scans if messages[k].stamp > settled]
-    assert np.mean(during) > 0.9
 
 
 def test_scans_are_left_out_of_recording_and_run_while_paused(peer: Any, tmp_path: Path) -> None:

@@ -12,10 +12,15 @@ import pytest
 
 import drivers
 from drivers import Message, Odometry, Scan
+from slam.evaluation.benchmarks.reference_work import ReferenceWork
 
 from ...recordings import recording_file
 
 ROOT = Path(__file__).parents[3]
+MAX_TIME = 1500
+"""Processor time of reading a recording relative to that of a computation of 2 ms, done meanwhile: other programs slow
+down both. It is 400 to 700, with the compiled functions loaded for the first time.
+"""
 CATALOGUE = tomllib.loads((ROOT / "datasets" / "catalogue.toml").read_text())["recording"]
 
 
@@ -35,9 +40,14 @@ def test_published_log_is_read_in_the_order_of_its_lines() -> None:
 def test_benchmark_recording_is_read_completely(name: str, beams: int, mount: list[float], length: float) -> None:
     path = recording_file(name)
     source = drivers.open(path)
+    messages: list[Message] = []
+    reference, units = ReferenceWork(), []
     start = time.process_time()
-    messages: list[Message] = list(source)
-    assert time.process_time() - start < 3.0
+    for message in source:
+        messages.append(message)
+        if len(messages) % 200 == 1:
+            units.append(reference.time_once())
+    assert time.process_time() - start - sum(units) < MAX_TIME * np.mean(units)
     counts = Counter(type(message) for message in messages)
     assert counts[Odometry] == CATALOGUE[name]["odometry"]
     assert counts[Scan] == CATALOGUE[name]["scans"]

@@ -25,7 +25,8 @@ if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)  # SIGINT is ignored in the background of a shell
     main()
 """
-SHORT = ("sim:room?duration=3", "sim:room?duration=4")
+SHORT = ("sim:room?duration=3&lidar=short", "sim:room?duration=4&lidar=short")
+NAMES = ("sim-room-duration=3-lidar=short", "sim-room-duration=4-lidar=short")
 
 
 def table(out: Path) -> dict[str, dict[str, Any]]:
@@ -47,28 +48,28 @@ def test_batch_maps_valid_recordings_and_keeps_complete_results(wclm: Any, tmp_p
     assert "Traceback" not in result.output
     found = table(out)
     assert {name: row["status"] for name, row in found.items()} == {
-        "sim-room-duration=3": "done",
-        "sim-room-duration=4": "done",
+        NAMES[0]: "done",
+        NAMES[1]: "done",
         "garbage": "failed",
         "missing": "failed",
     }
-    assert re.search(r"sim-room-duration=3 +done +3\.0 s +\d+ m +29 ", result.stdout)
+    assert re.search(r"sim-room-duration=3-lidar=short +done +3\.0 s +\d+ m +16 ", result.stdout)
     assert "missing: failed: " in result.stdout
     assert "no such file" in found["missing"]["error"]
     assert "no such file" in Path(found["missing"]["log"]).read_text()
-    assert (found["sim-room-duration=3"]["scans"], found["sim-room-duration=3"]["error_rmse"] < 0.01) == (29, True)
-    assert 50 < found["sim-room-duration=3"]["memory"] < 2000
+    assert (found[NAMES[0]]["scans"], found[NAMES[0]]["error_rmse"] < 0.01) == (16, True)
+    assert 50 < found[NAMES[0]]["memory"] < 2000
     assert not unfinished(out)
 
     assert wclm("run", SHORT[0], "--out", "alone", "--no-review").exit_code == 0
     for name in ("trajectory.tum", "map.json"):
-        assert (out / "sim-room-duration=3" / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
+        assert (out / NAMES[0] / name).read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
-    before = (out / "sim-room-duration=3" / "summary.json").stat()
+    before = (out / NAMES[0] / "summary.json").stat()
     result = wclm("batch", *SHORT, "--out", "out", "--no-review")
     assert result.exit_code == 0, result.output
     assert {row["status"] for row in table(out).values()} == {"kept"}
-    assert (out / "sim-room-duration=3" / "summary.json").stat() == before
+    assert (out / NAMES[0] / "summary.json").stat() == before
 
 
 def test_invalid_arguments_are_one_line_errors(wclm: Any, tmp_path: Path) -> None:
@@ -86,7 +87,7 @@ def test_an_interrupted_batch_keeps_only_complete_results(tmp_path: Path) -> Non
     recordings = [SHORT[0], "sim:office?duration=300", "sim:office?duration=301"]
     process = start_batch(tmp_path, recordings, "out", 2)
     deadline = time.monotonic() + 200  # includes compilation
-    while len(unfinished(out)) < 2 or table(out)["sim-room-duration=3"]["status"] != "done":
+    while len(unfinished(out)) < 2 or table(out)[NAMES[0]]["status"] != "done":
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.05)

@@ -51,7 +51,7 @@ COMMANDS = (
     "bench lookalike",
     "bench false-closures",
 )
-SHORT = "sim:room?duration=3"
+SHORT = "sim:room?duration=3&lidar=short"
 ESCAPES = re.compile(r"\x1b\[[0-9;]*m")
 
 # Help and version
@@ -108,14 +108,14 @@ def test_run_writes_all_results_and_prints_the_directory(wclm: Any, fake_slam: t
     assert len(read_tum(out / "trajectory.tum")) == 76
     assert "sigma_range = 0.02" in (out / "config.toml").read_text()
     summary = json.loads((out / "summary.json").read_text())
-    assert (summary["scans"], summary["odometry"], summary["walls"]) == (29, 76, 4)
+    assert (summary["scans"], summary["odometry"], summary["walls"]) == (16, 76, 4)
     assert summary["slam"] == {"closures": 0}
     assert summary["truth"]["ate_rmse"] < 0.1
     assert summary["versions"]["wclm-slam"]
     assert summary["peak_memory_mib"] > 1
     text = result.stdout
     for words in (
-        "sim:room: 29 scans in 3.0 s",
+        "sim:room: 16 scans in 3.0 s",
         "4 walls, 2 corners",
         "error of the path",
         "a/out: config.toml, keyframes.csv, map",
@@ -175,7 +175,7 @@ def test_info_and_run_state_how_a_recording_is_read(wclm: Any, fake_slam: type, 
 
 def test_mapping_a_simulated_room_is_accurate_and_repeatable(wclm: Any, tmp_path: Path) -> None:
     for name in ("a", "b"):
-        result = wclm("run", "sim:room?duration=8", "--out", name, "--no-review")
+        result = wclm("run", "sim:room?duration=8&lidar=short", "--out", name, "--no-review")
         assert result.exit_code == 0, result.output
     summary = json.loads((tmp_path / "a" / "summary.json").read_text())
     assert summary["truth"]["ate_rmse"] < 0.01

@@ -12,7 +12,7 @@ import drivers
 from drivers import se2
 from drivers.elapsed import elapsed
 from drivers.messages import GroundTruth
-from drivers.simulation import Simulation
+from drivers.simulation import LidarModel, Simulation
 from slam.evaluation.metrics import score_reference
 from slam.io.output_dir import KEYFRAMES, MAP, REPORT, SUMMARY, TRAJECTORY
 from slam.io.run_results import read_run_results
@@ -46,11 +46,17 @@ def session(wclm: Any, mapped: Path, tmp_path: Path) -> Path:
     return copy_of_run(wclm, mapped, "sim:room?seed=1&lidar=short", tmp_path / "out")
 
 
+def driven_poses() -> list[GroundTruth]:
+    """Return the true poses of the drive, without measuring its scans."""
+    drive = Simulation("room", seed=1, lidar=LidarModel(beams=2, rate=0.5))
+    return [message for message in drive if isinstance(message, GroundTruth)]
+
+
 @pytest.fixture
 def pins(tmp_path: Path) -> Path:
     """Survey of the robot at five times, of which the fourth is wrong by 10 cm."""
     rng = np.random.default_rng(1)
-    truth = [m for m in Simulation("room", seed=1) if isinstance(m, GroundTruth)]
+    truth = driven_poses()
     rows = []
     for k, place in enumerate(np.linspace(len(truth) // 10, len(truth) - 2, 5).astype(int)):
         x, y = se2.compose(SURVEY, truth[place].pose)[:2] + rng.normal(0.0, SIGMA, 2)
@@ -66,7 +72,7 @@ def test_pins_move_the_map_into_the_survey_and_a_wrong_one_is_named(wclm: Any, s
     left_out = [line for line in result.stdout.splitlines() if "LEFT OUT" in line]
     assert len(left_out) == 1
     assert f"pose at {float(stated[1]):.12g} s" in left_out[0]
-    truth = {m.stamp: m.pose for m in Simulation("room", seed=1) if isinstance(m, GroundTruth)}
+    truth = {m.stamp: m.pose for m in driven_poses()}
     path, stamps = read_tum(session / TRAJECTORY), np.array(list(truth))
     nearest = np.abs(path.stamps[:, None] - stamps[None]).argmin(axis=1)
     same = np.abs(path.stamps - stamps[nearest]) < 1e-4

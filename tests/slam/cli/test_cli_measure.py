@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import ezdxf
 import numpy as np
 import pytest
 
@@ -78,6 +77,8 @@ def test_named_walls_are_measured(wclm: Any, session: Path) -> None:
 
 
 def test_drawings_have_a_dimension_for_each_side_of_the_room(wclm: Any, session: Path) -> None:
+    import ezdxf
+
     for form in ("svg", "dxf"):
         result = wclm("measure", session, "--format", form)
         assert result.exit_code == 0, result.output

@@ -31,7 +31,7 @@ def plan(tmp_path: Path) -> Path:
 
 def test_a_run_with_a_plan_states_the_differences(wclm: Any, plan: Path) -> None:
     start = ("--start", "1,1,0", "--plan-unit", "m")
-    result = wclm("run", "sim:room?duration=14", "--plan", str(plan), *start, "--out", "out", "--no-review")
+    result = wclm("run", "sim:room?duration=14&lidar=short", "--plan", str(plan), *start, "--out", "out", "--no-review")
     assert result.exit_code == 0, result.output
     found = json.loads(Path("out/summary.json").read_text())["plan"]
     assert (found["file"], found["recognised"]) == ("room.geojson", True)
@@ -45,7 +45,7 @@ def test_a_run_with_a_plan_states_the_differences(wclm: Any, plan: Path) -> None
 
 
 def test_the_assumed_unit_and_the_size_are_printed(wclm: Any, plan: Path) -> None:
-    result = wclm("run", "sim:room?duration=3", "--plan", str(plan), "--out", "out", "--no-review")
+    result = wclm("run", "sim:room?duration=3&lidar=short", "--plan", str(plan), "--out", "out", "--no-review")
     assert re.search(r"states no unit and is read in metres: 6(\.\d+)? m x 4(\.\d+)? m", result.output)
 
 
@@ -63,7 +63,7 @@ def test_options_that_do_not_fit_together_are_refused(wclm: Any, plan: Path) -> 
 def test_bad_plans_are_refused_in_one_line(wclm: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("slam.mapping.plan_views.MAX_VIEWS", 2000)  # found to be exceeded in a tenth of the time
     lines = load_world("office").segments.reshape(-1, 2, 2)
-    run = ("run", "sim:room?duration=3", "--out", "out", "--no-review", "--plan")
+    run = ("run", "sim:room?duration=3&lidar=short", "--out", "out", "--no-review", "--plan")
     for name, scale, problem in (
         ("millimetres", 1000.0, r"would be 2\.53e\+04 m x 1\.53e\+04 m; state the unit"),
         ("inches", 1.0 / 0.0254, r"more than \d+ views in 996\.1 m x 602\.4 m; state the unit"),
@@ -85,7 +85,7 @@ def test_bad_plans_are_refused_in_one_line(wclm: Any, tmp_path: Path, monkeypatc
 def test_a_plan_whose_lines_cross_each_other_is_left_out_if_it_is_of_another_building(wclm: Any) -> None:
     outline = np.random.default_rng(0).uniform(0.0, 20.0, (60, 2)).tolist()
     Path("star.json").write_text(json.dumps({"type": "Polygon", "coordinates": [[*outline, outline[0]]]}))
-    run = ("run", "sim:room?duration=3", "--out", "out", "--no-review", "--plan-unit", "m")
+    run = ("run", "sim:room?duration=3&lidar=short", "--out", "out", "--no-review", "--plan-unit", "m")
     result = wclm(*run, "--plan", "star.json")
     assert result.exit_code == 0, result.output
     assert "never recognised in the plan" in result.output

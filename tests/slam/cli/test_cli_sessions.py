@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Directory with recordings of the drives; the stamps of each start at the beginning of its simulation."""
     folder = tmp_path_factory.mktemp("recordings")
     for name, (seed, begin, end) in DRIVES.items():
-        messages = list(Simulation("office", seed=seed, duration=end, lidar=LidarModel(beams=360, rate=5.0)))
+        messages = list(Simulation("office", seed=seed, duration=end, lidar=LidarModel(beams=270, rate=5.0)))
         with McapWriter(folder / f"{name}.mcap") as writer:
             for message in messages:
                 if message.stamp - messages[0].stamp >= begin:
@@ -108,7 +108,7 @@ def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Pat
     assert stamps[0] >= recording["first"] - recording["shift"]
     assert wclm("map", "there", "--format", "ply").exit_code == 0
     wclm.refuses("run", folder / "second.mcap", "--localize", "there", "--out", "x", because=["there: has no session"])
-    elsewhere = ("run", "sim:room?duration=6", "--localize", session, "--out", "x")
+    elsewhere = ("run", "sim:room?duration=6&lidar=short", "--localize", session, "--out", "x")
     wclm.refuses(*elsewhere, because=["sim:room", "never relocalised"])
     assert not Path("x").exists()
 
@@ -145,9 +145,10 @@ def test_optimize_refines_a_session(wclm: Any, session: Path) -> None:
 
 
 def test_optimize_maps_and_refines_a_recording(wclm: Any) -> None:
-    result = wclm("optimize", "sim:room?duration=5", "--out", "room", "--no-review")
+    drive = "sim:room?duration=5&lidar=short"
+    result = wclm("optimize", drive, "--out", "room", "--no-review")
     assert result.exit_code == 0, result.output
-    assert wclm("run", "sim:room?duration=5", "--continue", "room", "--out", "more", "--no-review").exit_code == 0
+    assert wclm("run", drive, "--continue", "room", "--out", "more", "--no-review").exit_code == 0
     wclm.refuses("optimize", "nowhere.txt", "--out", "x", because=["nowhere.txt"])
 
 

@@ -14,7 +14,7 @@ from drivers import Scan
 from drivers.recordings.mcap import McapWriter
 from slam.io.output_dir import TRAJECTORY
 
-SHORT = "sim:room?duration=3"
+SHORT = "sim:room?duration=3&lidar=short"
 
 
 def test_simulate_writes_a_recording_that_info_describes(wclm: Any, tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_intensities_that_a_driver_did_not_set_are_named(
 
 def test_run_names_the_gaps_that_info_names(wclm: Any, tmp_path: Path) -> None:
     with McapWriter(tmp_path / "a.mcap") as writer:
-        for message in drivers.open("sim:room?duration=6"):
+        for message in drivers.open("sim:room?duration=6&lidar=short"):
             if not (isinstance(message, Scan) and 2.0 < message.stamp < 4.0):
                 writer.write(message)
     gap = re.compile(r"warning +1 gap in the scans, the longest 2\.\d s at 0:0[12]")
@@ -98,13 +98,14 @@ def test_run_names_the_gaps_that_info_names(wclm: Any, tmp_path: Path) -> None:
 
 
 def test_features_prints_and_plots_one_scan(wclm: Any, tmp_path: Path) -> None:
-    result = wclm("features", "sim:room?duration=3", "--scan", "7", "--plot", "scan.png")
+    drive = "sim:room?duration=3"
+    result = wclm("features", drive, "--scan", "7", "--plot", "scan.png")
     assert result.exit_code == 0, result.output
     assert "sim:room, scan 7 at 0.713 s" in result.stdout
     assert re.search(r"^ +0 +\d+ +\d+\.\d{3} ", result.stdout, re.MULTILINE)
     assert (tmp_path / "scan.png").stat().st_size > 10_000
-    wclm.refuses("features", SHORT, "--scan", "29", because=["has 29 scans, from 0; there is no scan 29"])
-    assert wclm("features", SHORT, "--scan", "-1").exit_code == 2
+    wclm.refuses("features", drive, "--scan", "29", because=["has 29 scans, from 0; there is no scan 29"])
+    assert wclm("features", drive, "--scan", "-1").exit_code == 2
 
 
 @pytest.fixture

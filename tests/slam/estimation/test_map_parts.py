@@ -32,7 +32,7 @@ from slam.reporting.scan_report import ScanReport
 from ..simulated_worlds import furnished_room
 
 LOST_AT, DURATION = 10.0, 60.0  # seconds of a drive through a room
-ROBOT = LidarModel(beams=180, rate=4.0)
+ROBOT = LidarModel(beams=180, rate=3.0)
 
 
 BARE_WALLS = np.array([[0.0, 0.0, 8.0, 0.0], [8.0, 0.0, 8.0, 6.0], [8.0, 6.0, 0.0, 6.0], [0.0, 6.0, 0.0, 0.0]])

@@ -29,7 +29,7 @@ from slam.evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, find_reco
 from slam.evaluation.benchmarks.robust_table import TABLE_HEAD, table_row
 from slam.io.tum import Trajectory, write_tum
 
-LIDAR = LidarModel(beams=180)
+LIDAR = LidarModel(beams=180, rate=6.0)
 
 
 def defaults(_: Source) -> Config:

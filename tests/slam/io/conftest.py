@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.simulation import Simulation
+from drivers.simulation import LIDAR_MODELS, Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
 from slam.io.output_dir import CONFIG
@@ -22,7 +22,7 @@ def write_directory(directory: Path, session: StoredSession) -> None:
 def map_room(directory: Path, *, refine: bool) -> StoredSession:
     """Map a drive of eight seconds, write the session to a directory, and return it."""
     slam = Slam(Config(), refine=refine)
-    for message in Simulation("room", seed=3, duration=8.0):
+    for message in Simulation("room", seed=3, duration=8.0, lidar=LIDAR_MODELS["short"]):
         slam.add(message)
     slam.finish()
     session = slam.session

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
-import ezdxf
 import numpy as np
 import pytest
 
@@ -36,6 +35,8 @@ def results(tmp_path: Path, finished: Finished) -> RunResults:
 
 
 def test_dxf_has_walls_as_lines_on_layers(results: RunResults, tmp_path: Path) -> None:
+    import ezdxf
+
     write_dxf(tmp_path / "a.dxf", results)
     document = ezdxf.readfile(tmp_path / "a.dxf")
     audit = document.audit()
@@ -62,6 +63,8 @@ def test_dxf_has_walls_as_lines_on_layers(results: RunResults, tmp_path: Path) -
 
 
 def test_dxf_is_the_same_if_written_twice(results: RunResults, tmp_path: Path) -> None:
+    import ezdxf
+
     for name in ("a.dxf", "b.dxf"):
         write_dxf(tmp_path / name, results)
     assert (tmp_path / "a.dxf").read_bytes() == (tmp_path / "b.dxf").read_bytes()
@@ -78,6 +81,8 @@ def measured() -> MeasuredMap:
 
 
 def test_dxf_has_rooms_doors_and_dimensions(results: RunResults, measured: MeasuredMap, tmp_path: Path) -> None:
+    import ezdxf
+
     write_dxf(tmp_path / "a.dxf", results, measured)
     document = ezdxf.readfile(tmp_path / "a.dxf")
     audit = document.audit()

@@ -4,7 +4,6 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
-import ezdxf
 import numpy as np
 import pytest
 from PIL import Image
@@ -40,6 +39,8 @@ def write_drawing(path: Path, unit: float) -> Path:
     """Draw the room with the box in a format by its suffix, with `unit` units per metre; y points down in SVG."""
     room, box = unit * ROOM, unit * BOX
     if path.suffix == ".dxf":
+        import ezdxf
+
         drawing = ezdxf.new()
         drawing.header["$INSUNITS"] = {1000.0: 4, 1.0: 0}[unit]
         drawing.modelspace().add_lwpolyline(room, close=True)
@@ -83,6 +84,8 @@ def test_what_is_no_line_is_named(tmp_path: Path) -> None:
 
 
 def test_layers_of_a_drawing_can_be_chosen(tmp_path: Path) -> None:
+    import ezdxf
+
     drawing = ezdxf.new()
     drawing.header["$INSUNITS"] = 6
     drawing.layers.add("Walls")
@@ -96,6 +99,8 @@ def test_layers_of_a_drawing_can_be_chosen(tmp_path: Path) -> None:
 
 
 def test_what_ezdxf_ignores_in_a_drawing_is_not_printed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    import ezdxf
+
     drawing = ezdxf.new()
     drawing.modelspace().add_lwpolyline(ROOM, close=True)
     drawing.saveas(tmp_path / "plan.dxf")

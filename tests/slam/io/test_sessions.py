@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from drivers import Odometry, Scan, se2
-from drivers.simulation import LidarModel, Simulation
+from drivers.simulation import LIDAR_MODELS, LidarModel, Simulation
 from features import LearnedNoise
 from slam import Slam
 from slam.config import LidarConfig, load_config
@@ -189,7 +189,7 @@ def test_a_session_is_written_whatever_its_values_are_and_the_reader_names_the_i
     tmp_path: Path, first: list[float], message: str
 ) -> None:
     slam = Slam()
-    for reading in Simulation("room", seed=3, duration=2.0):
+    for reading in Simulation("room", seed=3, duration=2.0, lidar=LIDAR_MODELS["short"]):
         slam.add(replace(reading, pose=reading.pose + first) if isinstance(reading, Odometry) else reading)
     slam.finish()
     write_directory(tmp_path, slam.session)
@@ -208,7 +208,7 @@ def test_a_session_is_written_whatever_its_values_are_and_the_reader_names_the_i
 )
 def test_a_session_of_settings_at_their_limits_is_read_back(tmp_path: Path, settings: list[str]) -> None:
     slam = Slam(load_config(overrides=settings))
-    for message in Simulation("office", seed=3, duration=4.0, lidar=LidarModel(beams=360)):
+    for message in Simulation("office", seed=3, duration=4.0, lidar=LidarModel(beams=360, rate=5.0)):
         slam.add(replace(message, ranges=message.ranges * 10.0) if isinstance(message, Scan) else message)
     slam.finish()
     write_directory(tmp_path, slam.session)
@@ -219,7 +219,7 @@ def test_a_session_of_settings_at_their_limits_is_read_back(tmp_path: Path, sett
 
 def test_numbers_that_are_not_finite_are_null_in_the_header(tmp_path: Path) -> None:
     slam = Slam()
-    for message in Simulation("room", seed=3, duration=2.0):
+    for message in Simulation("room", seed=3, duration=2.0, lidar=LIDAR_MODELS["short"]):
         slam.add(message)
     slam.finish()
     slam.session.recordings.append(Recording.model_construct(name="a", path=None, first=np.nan, last=1.0))
@@ -236,7 +236,7 @@ def test_session_is_small(written: tuple[StoredSession, Path]) -> None:
 
 def test_scan_without_features_is_read_back_without_features(tmp_path: Path) -> None:
     slam = Slam()
-    for message in Simulation("room", seed=3, duration=2.0):
+    for message in Simulation("room", seed=3, duration=2.0, lidar=LIDAR_MODELS["short"]):
         slam.add(message)
     slam.finish()
     session = slam.session

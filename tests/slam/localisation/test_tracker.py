@@ -53,7 +53,7 @@ class FailingOdometry:
     """Simulation whose odometry stands still for a while and then continues from there, or catches up (`makes_up`)."""
 
     def __init__(self, begin: float, end: float, *, makes_up: bool) -> None:
-        self.source = Simulation(world="office", seed=1, duration=min(end + 12.0, 36.0), lidar=LidarModel(360, 5.0))
+        self.source = Simulation(world="office", seed=1, duration=min(end + 12.0, 36.0), lidar=LidarModel(180, 5.0))
         self.begin, self.end, self.makes_up = begin, end, makes_up
 
     def __iter__(self) -> Iterator[Message]:
@@ -106,7 +106,7 @@ class LateOdometry:
 
     def __init__(self, seed: int) -> None:
         world = add_crowd(load_world("office"), 10, np.random.default_rng(seed), 25.0)
-        self._drive, self._seed = Simulation(world, seed, 25.0, LidarModel(360, 5.0)), seed
+        self._drive, self._seed = Simulation(world, seed, 25.0, LidarModel(180, 5.0)), seed
 
     def __iter__(self) -> Iterator[Message]:
         random, late_until, last = np.random.default_rng(self._seed), 0.0, np.zeros(3)
@@ -150,7 +150,7 @@ def test_odometry_that_stands_still_for_two_seconds_is_corrected(begin: float, m
 def test_the_path_does_not_follow_a_jump_of_odometry(jump: list[float]) -> None:
     """Not even at the first scan after the jump, whose pose the next scan confirms."""
     slam, truth = Slam(), {}
-    for message in Simulation(world="office", seed=1, duration=10.0, lidar=LidarModel(beams=360)):
+    for message in Simulation(world="office", seed=1, duration=10.0, lidar=LidarModel(beams=180)):
         if isinstance(message, GroundTruth):
             truth[message.stamp] = message.pose
         if isinstance(message, Odometry) and message.stamp - min(truth) > 7.0:
@@ -181,7 +181,7 @@ def test_late_readings_of_odometry_are_no_failure() -> None:
 
 
 def test_no_notice_without_a_failure() -> None:
-    _, errors, noticed = drive(Simulation("office", seed=1, duration=20.0, lidar=LidarModel(360, 5.0)))
+    _, errors, noticed = drive(Simulation("office", seed=1, duration=20.0, lidar=LidarModel(180, 5.0)))
     assert errors[:, 0].max() < 0.03
     assert noticed == []
 

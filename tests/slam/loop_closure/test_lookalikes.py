@@ -47,6 +47,7 @@ from ...recordings import recording_folder
 from ..outlines import outline
 from ..simulated_worlds import limit_drives
 
+DRIVES = 20  # in each world
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])
 NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
 
@@ -141,16 +142,21 @@ def test_robot_is_not_relocalised_at_similar_place_unless_kidnapped(seed: int) -
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-def test_no_wrong_closure_is_accepted_in_any_world() -> None:
-    drives = list(run_worlds(processes=2))
-    rows = {row.condition: row for row in summarise_worlds(drives)}
-    assert [(d.world, d.seed, d.wrong) for d in drives if d.wrong] == []
-    assert [(d.world, d.seed, d.relocalisation_errors) for d in drives if d.misplaced] == []
-    assert [(d.world, d.seed, d.failed) for d in drives if d.failed] == []
-    assert set(rows) == set(WORLDS)
-    assert rows["large_loop"].needed >= 10
-    assert rows["large_loop"].found >= 0.8 * rows["large_loop"].needed
-    assert sum(row.needed > 0 for row in rows.values()) >= 6
+@pytest.mark.parametrize("world", WORLDS)
+def test_no_wrong_closure_is_accepted_in_any_world(world: str) -> None:
+    """No wrong closure in 20 drives: with a confidence of 95 % in at most 14 % of the drives in this world, and in at
+    most 1.9 % of those in all eight. `wclm bench lookalike` measures more.
+    """
+    drives = list(run_worlds([world], range(DRIVES), processes=2))
+    (row,) = summarise_worlds(drives)
+    assert [(d.seed, d.wrong) for d in drives if d.wrong] == []
+    assert [(d.seed, d.relocalisation_errors) for d in drives if d.misplaced] == []
+    assert [(d.seed, d.failed) for d in drives if d.failed] == []
+    assert row.wrong_limit < 0.14
+    assert row.needed > 0, "no drive required a loop closure, so this proves nothing"
+    if world == "large_loop":
+        assert row.needed >= DRIVES / 2
+        assert row.found >= 0.8 * row.needed
 
 
 def test_loops_are_unambiguous_if_the_right_place_is_the_nearest_that_looks_like_it() -> None:

@@ -13,7 +13,7 @@ from slam.mapping.waiting_keyframes import SOLVE_DISTANCE
 def slam() -> Slam:
     """A run in which keyframes wait."""
     slam, longest, farthest = Slam(), 0, 0.0
-    for message in drivers.open("sim:office?duration=12&seed=3"):
+    for message in drivers.open("sim:office?duration=12&seed=3&lidar=short"):
         slam.add(message)
         waiting, distance = _waiting(slam.slam_state.mapper)
         longest, farthest = max(longest, waiting), max(farthest, distance)

@@ -10,7 +10,7 @@ from slam.config import Config, LidarConfig
 from slam.pipeline import Slam
 
 MOUNT = np.array([0.1, 0.0, 0.0])
-LIDAR = LidarModel(beams=180, rate=5.0)
+LIDAR = LidarModel(beams=180, rate=3.0)
 ERROR = np.array([0.07, -0.04, 0.03])
 """Of the mount in the settings, in the base's frame."""
 

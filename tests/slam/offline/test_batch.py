@@ -11,12 +11,11 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cloudpickle
 import pyarrow.parquet as pq
 import pytest
-from distributed import Client
 
 from slam.config import load_config
 from slam.errors import OutputError, RecordingError
@@ -34,7 +33,9 @@ from slam.offline.batch import (
 )
 from slam.offline.batch.cluster import start_local_workers
 from slam.offline.batch.dispatch import dispatch
-from slam.offline.batch.private_comm import new_secret
+
+if TYPE_CHECKING:
+    from distributed import Client  # takes half a second, also if other tests are collected
 
 PLAIN = JobOptions(load_config(), review=False)
 RETRIES = 1
@@ -265,4 +266,6 @@ def test_other_programs_cannot_connect_to_local_workers(client: Client, greeting
 
 
 def test_each_batch_has_its_own_secret() -> None:
+    from slam.offline.batch.private_comm import new_secret
+
     assert len({new_secret() for _ in range(10)}) == 10

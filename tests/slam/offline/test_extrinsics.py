@@ -33,7 +33,7 @@ def values(found: Calibration) -> np.ndarray:
 
 
 def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
-    simulation = Simulation("office", seed=3, duration=32.0, lidar=ROBOT, mount=MOUNT)
+    simulation = Simulation("office", seed=3, duration=25.0, lidar=ROBOT, mount=MOUNT)
     found = calibrate(simulation, GUESS)
     error = values(found) - true_values(simulation)
     assert np.all(np.abs(error) < 4 * found.sigma)
@@ -80,15 +80,15 @@ def test_correction_undoes_wrong_wheels() -> None:
 def test_too_little_data_is_an_error() -> None:
     with pytest.raises(MapError, match="too few to calibrate"):
         calibrate([])
-    simulation = Simulation("office", duration=3.0)
+    simulation = Simulation("office", duration=3.0, lidar=ROBOT)
     with pytest.raises(MapError, match="too few to calibrate"):
         calibrate([message for message in simulation if isinstance(message, Scan | Odometry)])
 
 
 def test_command_prints_the_corrected_options(wclm: Any) -> None:
-    result = wclm("calibrate", "sim:room?duration=35&seed=1&lidar=short", "--wheel-radius", "0.033", "--track", "0.35")
+    result = wclm("calibrate", "sim:room?duration=25&seed=1&lidar=short", "--wheel-radius", "0.033", "--track", "0.35")
     assert result.exit_code == 0, result.output
-    simulation = Simulation("room", seed=1, duration=35.0)
+    simulation = Simulation("room", seed=1, duration=25.0)
     options = re.search(r"wheel_radius=([\d.]+),([\d.]+)&track=([\d.]+)'$", result.stdout, re.MULTILINE)
     assert options is not None
     left, right, track = (float(text) for text in options.groups())

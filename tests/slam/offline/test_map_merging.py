@@ -47,7 +47,7 @@ OFFICE = {
 }
 """Seeds of two drives through one building, and the times in seconds from and up to which each is used: the second
 starts on the path of the first."""
-LIDAR = replace(LIDAR_MODELS["short"], rate=2.5)
+LIDAR = replace(LIDAR_MODELS["short"], beams=180, rate=2.5)
 
 
 def mapped(messages: Sequence[Message], name: str, directory: Path) -> Path:

@@ -19,7 +19,7 @@ from slam.io.tum import Trajectory
 from slam.offline.corrections import correct_session
 from slam.offline.corrections.place_match import match_places
 
-LIDAR = LidarModel(beams=180, rate=5.0)
+LIDAR = LidarModel(beams=180, rate=4.0)
 WORLD = """
 title = "two rooms"
 speed = 0.8

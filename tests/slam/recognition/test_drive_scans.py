@@ -21,7 +21,7 @@ from slam.recognition.location import LOST, locate
 from slam.recognition.map_index import index_map
 from slam.recognition.scanned_map import ScannedMap, scan_drive, scan_map
 
-LIDAR = LidarModel(beams=360, rate=5.0)
+LIDAR = LidarModel(beams=180, rate=4.0)
 
 
 def mapped(world: str, seed: int, begin: float, end: float) -> tuple[SlamState, se2.Pose]:

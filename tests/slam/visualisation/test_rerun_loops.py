@@ -51,7 +51,7 @@ def logged(tmp_path_factory: pytest.TempPathFactory) -> Logged:
         patch.setattr(closure_monitor, "CHECK_INTERVAL", 6.0)
         patch.setattr(closure_monitor, "MAX_ADDED_CONTRADICTION", -1.0)
         patch.setattr(closure_monitor, "CONFIRMING_CHECKS", 1)
-        lidar, wheels = replace(LIDAR_MODELS["short"], rate=2.5), WHEEL_MODELS["bad"]
+        lidar, wheels = replace(LIDAR_MODELS["short"], beams=180, rate=2.0), WHEEL_MODELS["bad"]
         simulation = Simulation("large_loop", seed=0, duration=DURATION, lidar=lidar, wheels=wheels)
         scorer = LoopScorer(simulation)
         slam = Slam(sinks=[listener, review, scorer])
