@@ -14,13 +14,11 @@ from ..geometry.segments import Floats, Integers
 from ..localisation.odometry_comparison import GROSS_ERROR
 from ..odometry.history import wheel_travel
 from .drive import Drive
-from .row_groups import consecutive_groups
+from .row_groups import MAX_GAP, consecutive_groups
 from .steps import FIT_WEIGHT, Steps
 from .suspect import ODOMETRY, PLACEMENT, Suspect
 from .view_changes import MIN_RATIO, view_changes
 
-# Steps without a finding that may lie between two findings of one interval. Origin: chosen, about a metre.
-MAX_GAP = 3
 # Metres (RMS) by which the points of a scan differ between two poses that are not the same. Origin: tuned on the full
 # Intel log, where 0.3 hid visible breaks of the walls; two cells of the local field.
 MIN_DISPLACEMENT = 0.2

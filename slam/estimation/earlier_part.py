@@ -25,7 +25,7 @@ from drivers import se2
 from ..geometry.small_matrices import inverse
 from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult, TrackingStatus
-from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import MONITORED_SCANS, ClosureMonitor
@@ -93,7 +93,7 @@ class EarlierPart:
         motion = model.correct(self._last_seen.odometry_motion(odometry))
         information = inverse(model.covariance(motion) + np.diag(PREDICTION_SIGMAS**2))
         predicted = Prediction(se2.compose(self._last_seen.pose, motion), information)
-        return not model.measured or predicted.squared_distance(pose) <= KERNEL**2
+        return not model.measured or not predicted.excludes(pose)
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
         """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""

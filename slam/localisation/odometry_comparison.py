@@ -11,7 +11,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import KERNEL, Prediction
+from ..matching.point_matcher import Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
@@ -80,10 +80,9 @@ class OdometryComparison:
             return
         motion = model.correct(by_odometry)
         error = model.covariance(motion) + prediction_error + 2.0 * covariance
-        contradicts = (
-            wheel_travel(se2.between(motion, by_scans)) > GROSS_ERROR * travel
-            and Prediction(motion, inverse(error)).squared_distance(by_scans) > KERNEL**2
-        )
+        contradicts = wheel_travel(se2.between(motion, by_scans)) > GROSS_ERROR * travel and Prediction(
+            motion, inverse(error)
+        ).excludes(by_scans)
         seconds = min(self._seconds, MAX_COMPARED_SECONDS)
         self.contradicted_for = self.contradicted_for + seconds if contradicts else 0.0
         self._start, self._seconds = fix, 0.0

@@ -8,9 +8,10 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS, PointMatch, Prediction
+from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
@@ -98,7 +99,7 @@ class PosePredictor:
         """
         if not self._since_fix:
             return False
-        reach = SEARCH_DEVIATIONS * float(self._velocity.deviations(self._since_fix)[:2].max())
+        reach = NORMAL_LIMIT * float(self._velocity.deviations(self._since_fix)[:2].max())
         periods = self._since_fix / max(self._clock.period, MIN_PERIOD)
         return reach > MAX_SEARCH_SHIFT and periods >= taken + missing
 

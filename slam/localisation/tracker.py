@@ -22,7 +22,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from .match_target import MatchTarget, ScanMatch
@@ -30,7 +30,7 @@ from .moving_objects import match_without_moving
 from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
 from .prediction_error import PREDICTION_SIGMAS
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
-from .view_change import View, ViewComparison
+from .view_change import MIN_POINTS, View, ViewComparison
 
 # Difference in cost up to which another place may be the right one. Origin: measured, where a lidar that sees 180
 # degrees looks into a room for the first time, parallel walls fit together at wrong places, which cost up to 10.5 less.
@@ -40,8 +40,6 @@ AMBIGUITY = 10.0
 MAX_SLIP = 3.7
 # Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5
-# Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
-MIN_POINTS = 30
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
 # well, the robot was kidnapped. Origin: chosen; no measurement recorded.
 SUSPICIOUS_DROP = 0.5
@@ -200,7 +198,7 @@ class Tracker:
         last_metres = replace(target, field=target.recent())
         alone = last_metres.match(scan, predictions)
         expected = Prediction(alone.points.pose, information_of(PREDICTION_SIGMAS))
-        elsewhere = expected.squared_distance(match.points.pose) > KERNEL**2
+        elsewhere = expected.excludes(match.points.pose)
         if alone.contradicts(usual) or not elsewhere or alone.known < MIN_KNOWN_POINTS or alone.poor:
             return None
         return alone if last_metres.contradicts(scan, match.points.pose) else None
@@ -211,7 +209,7 @@ class Tracker:
         """Return the status of a scan, and True if it shows that odometry has slipped since its reference."""
         usual, slip = predictions[0], predictions[1] if len(predictions) > 1 else None
         chosen, pose = match.points.prediction, match.points.pose
-        contradicts = usual.squared_distance(pose) > KERNEL**2
+        contradicts = usual.excludes(pose)
         # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
         odometry_holds = (self._predictor.tentative is not None or chosen is not slip) and not contradicts
         # An earlier slip is confirmed: the pose was found from a tentative one, or where odometry has caught up.

@@ -9,14 +9,12 @@ from drivers.compiled import inlined
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
+from ..mapping.data_association import MAX_CORNER_HEADING_DIFFERENCE
 
-# Radians between the walls of an observed corner and those of a map corner.
-# Origin: chosen, twice the widest heading gate of segments; not measured.
-CORNER_HEADING_GATE = math.radians(20.0)
 # Metres beyond the known end of a wall in which a segment still overlaps with it.
 # Origin: chosen, walls continue beyond what was seen of them; not measured.
 MATCH_END_MARGIN = 0.5
-# Scale of the Cauchy kernel, standard deviations: an observation this far off has half weight.
+# Scale of the Cauchy kernel, standard deviations: an observation or prediction this far off has half weight.
 # Origin: chosen, the usual range of robust kernels; not measured.
 MATCH_CAUCHY_SCALE = 3.0
 
@@ -143,8 +141,8 @@ def add_corners(  # type: ignore[no-untyped-def]
             distance = dx * dx + dy * dy
             if (
                 distance < best
-                and abs(wrap_angle(pose[2] + headings[i, 0] - corners.headings[j, 0])) < CORNER_HEADING_GATE
-                and abs(wrap_angle(pose[2] + headings[i, 1] - corners.headings[j, 1])) < CORNER_HEADING_GATE
+                and abs(wrap_angle(pose[2] + headings[i, 0] - corners.headings[j, 0])) < MAX_CORNER_HEADING_DIFFERENCE
+                and abs(wrap_angle(pose[2] + headings[i, 1] - corners.headings[j, 1])) < MAX_CORNER_HEADING_DIFFERENCE
             ):
                 best, match = distance, j
         if match < 0:

@@ -14,11 +14,17 @@ from numpy.typing import NDArray
 
 from drivers.compiled import inlined
 
+from ..geometry.normal_distribution import NORMAL_LIMIT
+
 # Metres, side of a cell. Origin: chosen, the noise of usual lidars; distances are interpolated between cells.
 FIELD_CELL = 0.05
 # Metres: larger distances are not stored. It is also how far a pose may be off for Gauss-Newton to correct it.
 # Origin: chosen, about the width of a corridor's furniture; not measured.
 MAX_DISTANCE = 0.5
+# Radians that a pose may be turned for Gauss-Newton to correct it. Origin: definition, MAX_DISTANCE at 4 m.
+MAX_TURN = MAX_DISTANCE / 4.0
+# Metres and radians, standard deviations up to which a pose is that near. Origin: definition.
+MAX_CORRECTED_SIGMA, MAX_CORRECTED_TURN_SIGMA = MAX_DISTANCE / NORMAL_LIMIT, MAX_TURN / NORMAL_LIMIT
 # Cells on each side of a point's cell to which it is the nearest one at most. Origin: definition.
 SPAN = round(MAX_DISTANCE / FIELD_CELL)
 # Metres, unit of stored offsets. Origin: numerical, 16 bits hold more than MAX_DISTANCE with it.

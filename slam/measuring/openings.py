@@ -16,13 +16,15 @@ from itertools import combinations
 import numpy as np
 
 from ..geometry.segments import Floats
+from ..mapping.wall_cells import MIN_GAP_BETWEEN_PIECES
 from .outlines import CORNER_MARGIN, MAX_BRIDGE, crossing
 from .rooms import Room
 from .wall_map import WallMap
 
-# Metres of the narrowest and of the widest opening. Origin: chosen, as MIN_GAP_BETWEEN_PIECES, and the width of a
-# corridor that leaves another one; not measured.
-MIN_WIDTH, MAX_WIDTH = 0.5, 4.0
+# Metres of the narrowest opening: narrower gaps do not divide a wall.
+MIN_WIDTH = MIN_GAP_BETWEEN_PIECES
+# Metres of the widest opening. Origin: chosen, the width of a corridor that leaves another one; not measured.
+MAX_WIDTH = 4.0
 # Metres of the widest door. Origin: chosen, a double door, as for the outlines of rooms; not measured.
 MAX_DOOR = MAX_BRIDGE
 # Metres across, and sine of the angle, by which two pieces on one line may differ. Origin: chosen, a skirting board,

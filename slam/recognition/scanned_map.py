@@ -23,6 +23,7 @@ from ..loop_closure.submap_search import DISTORTION_SIGMAS, build_submap
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
+from ..matching.offset_tiles import FIELD_CELL
 from ..matching.point_costs import points_cost
 from ..matching.scan_points import lines_of
 from .map_descriptor import MapDescriptor
@@ -35,7 +36,7 @@ EVIDENCE_CELL = 1.0
 MIN_WALL_LENGTH = 3.0
 # Metres between the points kept of a surface, so that evidence does not depend on how often the surface was seen.
 # Origin: chosen, two cells of a distance field; not measured.
-THINNED_SPACING = 0.1
+THINNED_SPACING = 2.0 * FIELD_CELL
 # Metres from the outermost point to the border of a distance field. Origin: chosen; not measured.
 FIELD_MARGIN = 2.0
 # Metres from the median position along x and y up to which a map is searched: memory grows with the square, and one

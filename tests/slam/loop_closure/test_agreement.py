@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from slam.geometry.normal_distribution import NORMAL_LIMIT
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
-from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT, SPAN_DEVIATIONS
+from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.look import Look, Submaps
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
@@ -134,7 +135,7 @@ def test_drift_that_leads_to_no_other_place_is_corrected_although_the_drive_ends
     assert found
     matches = found[0].matches
     assert len(matches) >= MIN_SUPPORT
-    assert SUBMAP_LENGTH > matches[-1].travelled - matches[0].travelled >= SPAN_DEVIATIONS * SIGMAS[0]
+    assert SUBMAP_LENGTH > matches[-1].travelled - matches[0].travelled >= NORMAL_LIMIT * SIGMAS[0]
     left = se2.compose(found[0].correction, drift)
     assert np.hypot(*left[:2]) < 0.05
     assert abs(left[2]) < 0.01
