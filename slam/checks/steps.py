@@ -99,7 +99,7 @@ def judge_steps(drive: Drive) -> Steps:
         if k >= FIELD_SCANS:
             field.remove(drive.points[k - FIELD_SCANS], drive.poses[k - FIELD_SCANS])
         if judged[k]:
-            if not drive.failing[k + 1]:
+            if drive.measured[k + 1]:
                 _judge(steps, k, drive, field, measured[k], float(prior[k]))
             if gross[k]:
                 _judge_odometry(steps, k, drive, field, measured[k])

@@ -45,7 +45,7 @@ class SlamState:
     mapper               graph, landmarks and keyframes
     trajectory           poses of all tracked scans, relative to keyframes
     odometry_model       learned errors of the odometry
-    unmeasured_model     errors of motions that are predicted while odometry fails
+    unmeasured_model     errors of motions that are predicted while odometry is failing
     tracker              last pose fix and the other state of tracking
     loops                search for loop closures
     joins                search for the place of a part of the map that is not connected
@@ -58,7 +58,7 @@ class SlamState:
     anchor               start of the motion to the next keyframe; None before the first keyframe
     learned_until        end of the last motion that odometry's errors were learned from; None if that is the anchor
     kidnapped            True if the robot was moved since the anchor without odometry noticing
-    slipped              True if odometry has failed since the anchor, see `TrackingResult`
+    slipped              True if odometry has slipped since the anchor, see `TrackingResult`
     kidnapped_keyframes  indices of the keyframes before which it was moved in this way
     frozen               True if only the trajectory is estimated and the map stays as it is
     plan                 plan of the building that supports the map; None without one

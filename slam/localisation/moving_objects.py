@@ -43,7 +43,7 @@ MAX_GAP = 0.3
 def match_without_moving(
     match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
 ) -> ScanMatch | None:
-    """Return the match of a scan without the objects that have moved; None if odometry has failed instead, or agrees.
+    """Return the match of a scan without the objects that have moved; None if odometry has slipped instead, or agrees.
 
     match        of the whole scan
     predictions  those with which it was matched, that of odometry first

@@ -1,4 +1,4 @@
-"""Comparison of odometry with the scans, over motions that are long enough to tell whether odometry fails for long.
+"""Comparison of odometry with the scans, over motions that are long enough to tell whether odometry is failing.
 
 A slip of the wheels, a late reading or a jump contradicts the scans for a moment. Odometry that stands still, also as
 the robot is pushed, and that of a broken encoder contradict them in each motion. After the time for which a robot keeps
@@ -48,7 +48,7 @@ class OdometryComparison:
         return self.contradicted_for >= STEADY_SECONDS
 
     def stop_odometry(self) -> None:
-        """Take odometry as failing, whose readings have stopped."""
+        """Take odometry as failing, as its readings have stopped."""
         self.contradicted_for = max(self.contradicted_for, STEADY_SECONDS)
 
     def restart(self) -> None:

@@ -1,12 +1,12 @@
-"""Track the pose from scan to scan, including while odometry fails.
+"""Track the pose from scan to scan, also where odometry slips or is failing.
 
 Each scan is matched near the pose that odometry predicts from a reference, the last keyframe. Odometry may slip, stand
 still for a second and then catch up, jump, or count backwards, so the scan is also matched near the pose of a robot
 that moves on evenly, at the velocity of the scans before. If it fits best there, its pose is tentative, and the next
-scan decides if odometry continues from there, has caught up, or keeps failing: these are equally probable. If a scan
+scan decides if odometry continues from there, has caught up, or keeps slipping: these are equally probable. If a scan
 fits nowhere, the pose follows odometry. After several scans in a row without a certain pose the robot counts as lost.
 
-Without odometry, and while it fails for long, each motion is predicted to be even. Most are, so the prediction is
+Without odometry, and while it is failing, each motion is predicted to be even. Most are, so the prediction is
 narrow; but a robot that starts or stops to turn is off by many of its standard deviations, and a scan fits well at many
 wrong headings. So all poses that the robot can reach by accelerating are searched at every scan.
 """
@@ -108,21 +108,21 @@ class Tracker:
         return self._untracked_in_a_row >= MAX_UNTRACKED_SCANS
 
     @property
-    def odometry_fails(self) -> bool:
-        """True if there is odometry, but it has failed for so long that the motion is predicted without it."""
-        return self._predictor.odometry_fails
+    def odometry_failing(self) -> bool:
+        """True if there is odometry, but it is failing, so that the motion is predicted without it."""
+        return self._predictor.odometry_failing
 
     def stop_odometry(self) -> None:
-        """Predict the motion without odometry, whose readings have stopped, until it agrees with the scans again."""
+        """Take odometry as failing, as its readings have stopped, until it agrees with the scans again."""
         self._predictor.stop_odometry()
 
     @property
     def predicted_velocity(self) -> Floats | None:
-        """(3,) velocity [x, y, heading] in the base's frame while odometry fails, metres and radians per second.
+        """(3,) velocity [x, y, heading] in the base's frame while odometry is failing, metres and radians per second.
 
-        None if odometry does not fail.
+        None if it is not failing.
         """
-        return self._predictor.velocity if self.odometry_fails else None
+        return self._predictor.velocity if self.odometry_failing else None
 
     @property
     def may_have_been_carried(self) -> bool:
@@ -155,7 +155,7 @@ class Tracker:
         fits_by_chance = tracked and (differs or (slipped and match.poor and self._views.changed))
         if fits_by_chance:
             status, slipped = TrackingStatus.FAILED, False
-        if self.odometry_fails:
+        if self.odometry_failing:
             slipped = status is TrackingStatus.TRACKED
         from_last_tentative = predictions[-FROM_TENTATIVE:] if self._predictor.tentative is not None else []
         result = _result(
@@ -181,7 +181,7 @@ class Tracker:
 
     @property
     def measured(self) -> bool:
-        """True if the motion is measured by odometry, which has not failed for long."""
+        """True if odometry measures the motion: there is odometry, and it is not failing."""
         return self._predictor.measured
 
     def _match_to_last_metres(

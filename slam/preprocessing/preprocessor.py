@@ -43,7 +43,7 @@ class ProcessedScan:
     odometry  (3,) odometry pose in the middle of the sweep
     features  segments, corners and points in the base's frame
     travel    metres of wheel travel from the middle of the sweep to its ends
-    measured  False if odometry was missing or failing, so that an even motion led to the scan
+    measured  False if odometry was missing or failing, so that an even motion is assumed to have led to the scan
     """
 
     stamp: float
