@@ -13,6 +13,7 @@ wrong headings. So all poses that the robot can reach by accelerating are search
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.chi_square import chi_square_quantile
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction
@@ -37,7 +39,7 @@ from .view_change import MIN_POINTS, View, ViewComparison
 AMBIGUITY = 10.0
 # Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
 # Origin: chi-square, 3 dof, 99.7 %.
-MAX_SLIP = 3.7
+MAX_SLIP = math.sqrt(chi_square_quantile(0.997, 3))
 # Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as

@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.chi_square import chi_square_quantile
 from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.pose_covariance import position_sigma
 from ..matching.offset_tiles import MAX_CORRECTED_SIGMA
@@ -23,7 +24,7 @@ MIN_LOOP_FIT = MIN_SCREENING_FIT
 MIN_KNOWN = 0.4
 # Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
 # if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof, 95 %.
-MAX_CLOSED_DISTANCE = 7.81
+MAX_CLOSED_DISTANCE = chi_square_quantile(0.95, 3)
 # Looks that must support a hypothesis. Origin: definition, one proposes it, and another one tests it.
 MIN_SUPPORT = 2
 # Looks that must support a hypothesis that leads to another place, or contradict the estimate before it is in doubt.
