@@ -249,7 +249,8 @@ def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
     look, matches = matches_along_a_hall(StubMap(np.diag([0.1, 0.1, 0.02]) ** 2), [motion[0]] * 5)
     hypothesis, agreement = LoopHypothesis(motion, matches), LoopAgreement()
     agreement.restore(LoopAgreementState(contradictions=contradicted, hypotheses=[hypothesis]), LocalField())
-    agreement._count_votes(look, Votes(None, [(agreement._hypotheses[0], vote_for(motion))], []), LocalField())
+    (followed,) = agreement._hypotheses
+    agreement._count_votes(look, Votes(None, [(followed, vote_for(motion))], []), LocalField())
     decision = agreement._accepted(look)
     assert (decision is not None) == accepted
     assert decision is None or decision.doubted
