@@ -64,7 +64,7 @@ class EarlierPart:
         the time of a lost robot would be spent on searching poses for scans that fit nowhere.
         """
         self._scans += 1
-        if self._balance == -DECIDING_MARGIN and not self._counts(scan.odometry):
+        if self._balance == -DECIDING_MARGIN and not self._is_far_enough(scan.odometry):
             self.monitor.record(scan)
             return None
         tracking = track(self.state, scan, StageTimer())
@@ -97,13 +97,13 @@ class EarlierPart:
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
         """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""
-        if not evidence or not self._counts(odometry):
+        if not evidence or not self._is_far_enough(odometry):
             return
         self._travelled += self._travel(odometry)
         self._balance = max(self._balance + evidence, -DECIDING_MARGIN)
         self._counted = odometry
 
-    def _counts(self, odometry: se2.Pose) -> bool:
+    def _is_far_enough(self, odometry: se2.Pose) -> bool:
         """Return True if a scan is far enough from the last one that was counted."""
         distance = CLOSE_SHARE * self.state.config.mapping.keyframe_distance
         return self._counted is None or self._travel(odometry) >= distance

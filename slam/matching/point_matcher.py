@@ -66,8 +66,9 @@ MIN_KNOWN_POINTS = 20
 # has a scan a metre and turns 40 degrees between two scans.
 MAX_SEARCH_SHIFT = 1.5
 MAX_SEARCH_TURN = math.radians(60.0)  # Origin: as MAX_SEARCH_SHIFT.
-# Predictions from which on the poses around each are searched, as there is more doubt than usual. Origin: definition,
-# those of odometry, of a slip, and of odometry that has caught up; more if a pose is tentative.
+# Largest number of predictions for which a good match near the first one suffices. If there are more, there is more
+# doubt than usual, and the poses around each are searched. Origin: definition, those of odometry, of a slip, and of
+# odometry that has caught up; there are more if a pose is tentative.
 MAX_UNSEARCHED = 3
 # Points of a scan that are searched with. Origin: chosen, for speed; not measured.
 MAX_SEARCH_POINTS = 60
