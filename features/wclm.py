@@ -28,10 +28,11 @@ import numpy as np
 from .compiled import vectorised
 from .line_fit import LineFit, ray_arrays
 from .normal_equations import Sums, solve_line
+from .normal_limits import GROSS_LIMIT
 from .types import Floats, Noise
 
-# Maximum squared normalised residual of an inlier. Origin: chosen, five standard deviations; not measured.
-INLIER_GATE = 25.0
+# Maximum squared normalised residual of an inlier.
+INLIER_GATE = GROSS_LIMIT**2  # Origin: definition.
 
 # Number of reweightings of the maximum-likelihood fit. Origin: measured, from a least-squares fit the first one comes
 # within 1 % of the optimum.

@@ -11,7 +11,7 @@ from drivers import se2
 
 from ..formatting import counted
 from ..geometry.segments import Floats, Integers
-from ..localisation.odometry_comparison import GROSS_ERROR
+from ..localisation.odometry_comparison import GROSS_SHARE
 from ..odometry.history import wheel_travel
 from .drive import Drive
 from .row_groups import MAX_GAP, consecutive_groups
@@ -100,7 +100,7 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
         driven = se2.between(drive.poses[before], drive.poses[after])
         measured = se2.between(drive.odometry[before], drive.odometry[after])
         wrong = se2.between(measured, driven)
-        lasting = wheel_travel(wrong) > GROSS_ERROR * max(wheel_travel(driven), wheel_travel(measured))
+        lasting = wheel_travel(wrong) > GROSS_SHARE * max(wheel_travel(driven), wheel_travel(measured))
         slip = _displacement(drive, after, se2.compose(drive.poses[before], measured)) - misplaced[before:after].sum()
         if evidence > steps.threshold and lasting and slip > MIN_SLIP:
             worst = int(group[np.argmax(steps.slip[group])])

@@ -16,7 +16,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..localisation.odometry_comparison import GROSS_ERROR
+from ..localisation.odometry_comparison import GROSS_SHARE
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..odometry.history import wheel_travel
 from .distance_rings import DistanceRings, compared_points
@@ -165,5 +165,5 @@ def _grossly_wrong(drive: Drive, measured: Floats, distance: Floats) -> Floats:
     """Return (n - 1,) True for steps in which odometry is wrong by a large share of the motion."""
     moved = np.maximum(wheel_travel(measured), wheel_travel(se2.between(drive.poses[:-1], drive.poses[1:])))
     final = se2.between(drive.poses[:-1], drive.poses[1:])
-    wrong = wheel_travel(se2.between(measured, final)) > GROSS_ERROR * moved
+    wrong = wheel_travel(se2.between(measured, final)) > GROSS_SHARE * moved
     return np.asarray(wrong & (distance > MAX_SQUARED_DISTANCE))

@@ -1,10 +1,7 @@
-"""Numbers of the normal distribution: the limit of errors, and medians, which outliers hardly affect."""
+"""Numbers of the normal distribution by which medians estimate the spread of errors, hardly affected by outliers."""
 
 from __future__ import annotations
 
-# Standard deviations within which normal errors are taken to be: the limit of tests and searches throughout the
-# package. Origin: definition, 99.7 % of a normal distribution.
-NORMAL_LIMIT = 3.0
 # Median of a squared standard normal variable. Origin: definition, chi-square, 1 dof.
 NORMAL_MEDIAN = 0.4549
 # Median of the sum of two squared standard normal variables. Origin: definition, chi-square, 2 dof.

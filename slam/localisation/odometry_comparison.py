@@ -25,7 +25,7 @@ STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 COMPARED_TRAVEL = 0.1
 # Share of its motion by which odometry must be wrong to be called slipping or standing still. Origin: chosen; errors of
 # calibration and ordinary slip are far below.
-GROSS_ERROR = 0.5
+GROSS_SHARE = 0.5
 # Seconds of a comparison that count at most: a slip after a stop is one comparison, and does not last.
 # Origin: definition, it takes two comparisons at least.
 MAX_COMPARED_SECONDS = 0.5 * STEADY_SECONDS
@@ -80,7 +80,7 @@ class OdometryComparison:
             return
         motion = model.correct(by_odometry)
         error = model.covariance(motion) + prediction_error + 2.0 * covariance
-        contradicts = wheel_travel(se2.between(motion, by_scans)) > GROSS_ERROR * travel and Prediction(
+        contradicts = wheel_travel(se2.between(motion, by_scans)) > GROSS_SHARE * travel and Prediction(
             motion, inverse(error)
         ).excludes(by_scans)
         seconds = min(self._seconds, MAX_COMPARED_SECONDS)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.chi_square import chi_square_quantile
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.pose_covariance import position_sigma
 from ..matching.offset_tiles import MAX_CORRECTED_SIGMA
 from .decision import Check, LoopDecision

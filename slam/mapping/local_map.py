@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from features.normal_limits import NORMAL_LIMIT
 
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.segments import Floats, Integers
 from ..geometry.small_matrices import is_positive_definite, quadratic_form, without_negative_part
 from .landmarks import Landmarks

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.segments import Floats, Integers, Segments
 from .landmarks import Landmarks
 from .map_features import MapWalls

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from features.normal_limits import NORMAL_LIMIT
+
 from ..errors import MapError
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.segments import Floats, Integers
 from .plan import Plan
 from .ray_casting import SegmentIndex, cast_rays, mark_near, tour

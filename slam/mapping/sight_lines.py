@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from features.normal_limits import NORMAL_LIMIT
 
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.segments import Floats, Integers
 from ..geometry.small_matrices import quadratic_form
 from .landmarks import Landmarks

@@ -14,7 +14,8 @@ from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
 from ..odometry.history import BLOCK, OdometryHistory
 
-# Seconds below which two stamps are one: trajectories are written with microseconds. Origin: definition.
+# Seconds below which two stamps are one, and by which scans are at least apart: files state microseconds.
+# Origin: definition.
 SAME_STAMP = 1e-6
 
 

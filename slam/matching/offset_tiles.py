@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import inlined
-
-from ..geometry.normal_distribution import NORMAL_LIMIT
+from features.normal_limits import NORMAL_LIMIT
 
 # Metres, side of a cell. Origin: chosen, the noise of usual lidars; distances are interpolated between cells.
 FIELD_CELL = 0.05

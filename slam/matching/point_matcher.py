@@ -23,10 +23,10 @@ import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.angles import wrap_angle
 from ..geometry.degeneracy import MIN_INFORMATION
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import (

@@ -9,8 +9,8 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry, YawRate
+from features.normal_limits import NORMAL_LIMIT
 
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from .arc import with_turn
 
 # Radians per second: standard deviation of the bias before any driving. Origin: data sheets of inexpensive gyroscopes,

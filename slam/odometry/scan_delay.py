@@ -21,8 +21,8 @@ import numpy as np
 
 from drivers import se2
 from drivers.timing.robust_weights import ROBUST_SIGMAS
+from features.normal_limits import NORMAL_LIMIT
 
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.segments import Floats
 from .error_model import OdometryModel
 from .history import OdometryHistory

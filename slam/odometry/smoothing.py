@@ -20,8 +20,8 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.compiled import compiled
+from features.normal_limits import NORMAL_LIMIT
 
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from .history import OdometryHistory, wheel_travel

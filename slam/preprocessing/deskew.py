@@ -14,11 +14,11 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Scan
+from features.normal_limits import NORMAL_LIMIT
 
 from ..bounds import MAX_MOUNT
 from ..config import LidarConfig
 from ..errors import MapError
-from ..geometry.normal_distribution import NORMAL_LIMIT
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
-from ...geometry.normal_distribution import NORMAL_LIMIT
 from ...geometry.segments import Floats, Integers
 from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, trace_sight_lines
 from ...mapping.wall_cells import ON_WALL_DISTANCE, WALL_CELL

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from slam.geometry.normal_distribution import NORMAL_LIMIT
+from features.normal_limits import NORMAL_LIMIT
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
