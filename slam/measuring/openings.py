@@ -37,7 +37,7 @@ MAX_THICKNESS = 0.6
 # were not seen (Intel).
 JAMB_TOLERANCE = 0.25
 # Share of the wider gap that both faces must have in common. Origin: chosen; not measured.
-MIN_SHARED = 0.5
+MIN_COMMON_SHARE = 0.5
 # Metres at each end of a gap that a wall may reach into: the jamb. Origin: chosen, half of what a wall may reach beyond
 # a corner.
 JAMB_MARGIN = 0.5 * CORNER_MARGIN
@@ -145,7 +145,7 @@ def _join_gaps(wall_map: WallMap, gaps: Sequence[_Gap]) -> list[_Gap]:
     shared = np.array([[_shared(wall_map, first, second) for second in gaps] for first in gaps])
     from scipy.sparse.csgraph import connected_components  # only here: most maps are not measured
 
-    count, group = connected_components(shared.reshape(len(gaps), len(gaps)) >= MIN_SHARED, directed=False)
+    count, group = connected_components(shared.reshape(len(gaps), len(gaps)) >= MIN_COMMON_SHARE, directed=False)
     groups = [[gap for gap, number in zip(gaps, group, strict=True) if number == k] for k in range(count)]
     joined = [_joined(wall_map, members) for members in groups]
     return [gap for gap in joined if gap.driven or gap.two_faced]
