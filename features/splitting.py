@@ -107,7 +107,12 @@ def best_split(prefix: Floats, begin: int, end: int, penalty: float, gains: Floa
 
 @inlined
 def split_rays(rays: Rays, count: int, penalty: float, segments: Segments, gains: Floats, stack: Integers) -> int:
-    """Split all rays into segments, at breaks and where two lines fit better; return their number."""
+    """Split all rays into segments, at breaks and where two lines fit better; return the number of segments.
+
+    count         number of rays
+    penalty       decrease of chi-square that a further break must bring
+    gains, stack  memory, one entry for each ray
+    """
     segment_count = 0
     run = 0
     while run < count:

@@ -51,6 +51,11 @@ def add_walls(  # type: ignore[no-untyped-def]
 ):
     """Pair each segment with the nearest wall inside the gates and add its normal equations.
 
+    pose                       (3,) of the base in the map
+    roughness                  variance of the wall roughness, square metres
+    offset_gate, heading_gate  metres across and radians between a segment and its wall
+    information, gradient      (3, 3) and (3,) of the base's pose, in its own axes: the equations are added to them
+
     Sets `overlaps`, the length in metres of each segment that lies on its wall, zero if there is none; weighted down by
     up to half of it near the gates' limits.
     """
@@ -130,7 +135,10 @@ def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # ty
 def add_corners(  # type: ignore[no-untyped-def]
     pose, observed, corners, roughness, gate, information, gradient
 ):
-    """Pair each corner with the nearest map corner inside the gate and add its normal equations."""
+    """Pair each observed corner with the nearest map corner inside the gate and add its normal equations.
+
+    gate  metres between two corners; for the other arguments see `add_walls`
+    """
     points, headings = observed.position, observed.headings
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(points)):

@@ -100,7 +100,10 @@ def _empty_tiles(count: int) -> NDArray[np.int32]:
 
 @inlined
 def offset_at(tile_of, tiles, grid, row, column):  # type: ignore[no-untyped-def]
-    """Return the stored offset of a cell. Unsigned indices take half the time: nothing tests if they are negative."""
+    """Return the stored offset of a cell, at a row and a column of a grid; for the arrays see `OffsetTiles`.
+
+    Unsigned indices take half the time: nothing tests if they are negative.
+    """
     tile = tile_of[np.uintp(grid), np.uintp(row >> TILE_BITS), np.uintp(column >> TILE_BITS)]
     return tiles[np.uintp(tile), np.uintp(row & (TILE - 1)), np.uintp(column & (TILE - 1))]
 

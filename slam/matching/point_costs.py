@@ -106,7 +106,13 @@ def cost_at(field, grid, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
-    """Return the pose with the lowest cost on a grid around the prediction; each point's cost counts `share` times."""
+    """Return the pose with the lowest cost on a grid around the prediction.
+
+    points             (p, 5) with normals, in the base's frame
+    share              times that the cost of each point counts
+    prediction, prior  pose (3,) in the map and its information (3, 3), with a Cauchy kernel of the scale `kernel`
+    shift, turn        metres and radians from the prediction up to which poses are tried
+    """
     best, turned, facing = prediction.copy(), np.empty((len(points), 2)), np.empty(len(points), np.int64)
     lowest = share * points_cost(field, points, best)[0]
     _search(field, points, share, prediction, prior, kernel, shift, turn, best, lowest, turned, facing)

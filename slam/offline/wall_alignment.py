@@ -59,7 +59,11 @@ def _alignment_step(first: MapWalls, second: MapWalls, pairs: Integers, points: 
 
 
 def common_walls(first: MapWalls, second: MapWalls, motion: se2.Pose, across: float, turn: float) -> Integers:
-    """Return the rows (n, 2) of walls that can be the same: mutually nearest, and within the gates."""
+    """Return the rows (n, 2) of walls that can be the same: mutually nearest, and within the gates.
+
+    motion        pose of the second map in the first one
+    across, turn  gates: metres across and radians between two walls
+    """
     frames = se2.compose(motion, second.frame)
     ends = np.stack([second.low, second.high], axis=1)
     relative = se2.between(first.frame[:, None], frames[None])  # (first, second, 3)
