@@ -29,9 +29,9 @@ from ..matching.scan_points import subsample
 # Metres of driving whose keyframes are the submap. Looks farther apart have no point in common.
 # Origin: chosen, about the size of a room; not measured.
 SUBMAP_LENGTH = 6.0
-# Metres of driving from a place until the robot is back, if it is: the recent submap and that of the old place do not
-# overlap then.
-REVISIT_GAP = 2.0 * SUBMAP_LENGTH  # Origin: definition.
+# Metres of driving from which on the robot has come back to a place, and has not just stayed there: the recent submap
+# and that of the old place do not overlap then. Origin: definition.
+REVISIT_GAP = 2.0 * SUBMAP_LENGTH
 # Metres between the poses of the coarse grid; the radians are those of the search for a scan.
 # Origin: chosen, Gauss-Newton corrects more than half a step.
 SEARCH_STEP = 0.3

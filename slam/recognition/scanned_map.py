@@ -110,7 +110,7 @@ class SubmapScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlacedSubmap:
+class DriveSubmap:
     """Submap in its own drive's map.
 
     scan    the submap
@@ -132,7 +132,7 @@ class ScannedDrive:
     relations  pose of the second submap of a pair in the frame of the first, and its covariance (3, 3) in its own frame
     """
 
-    submaps: Sequence[PlacedSubmap]
+    submaps: Sequence[DriveSubmap]
     cells: int
     relations: Mapping[tuple[int, int], tuple[se2.Pose, Floats]]
 
@@ -182,7 +182,7 @@ def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDEN
     moved = [_transform(pose, scan.points)[:, :2] for pose, scan in zip(poses, scans, strict=True)]
     grid = _CellGrid.of(*_bounds(np.concatenate([poses[:, :2], *moved]), poses), cell)
     placed = [
-        PlacedSubmap(scan, pose, grid.sort(scan.points, pose, scan.descriptor))
+        DriveSubmap(scan, pose, grid.sort(scan.points, pose, scan.descriptor))
         for scan, pose in zip(scans, poses, strict=True)
     ]
     return ScannedDrive(placed, grid.count, _relations(mapper, placed))
@@ -246,7 +246,7 @@ def _bounds(points: Floats, poses: Floats) -> tuple[Floats, Floats]:
     return low, np.maximum(low, np.minimum(high, middle + MAX_REACH))
 
 
-def _relations(mapper: Mapper, submaps: Sequence[PlacedSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
+def _relations(mapper: Mapper, submaps: Sequence[DriveSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
     """Return the relative poses of submaps with the one before and the nearest earlier one, in both directions."""
     relations = {}
     for j in range(1, len(submaps)):
