@@ -37,7 +37,11 @@ ESTIMATORS = {
 def fit_by_code(
     code: int, inverse: Floats, cos: Floats, sin: Floats, sigma_range: float, sigma_bearing: float
 ) -> tuple[float, float, float, float, float]:
-    """Return (u, v, Cuu, Cuv, Cvv) of one of the non-iterative estimators; NaN for any other code."""
+    """Return (u, v, Cuu, Cuv, Cvv) of one of the non-iterative estimators; NaN for any other code.
+
+    inverse, cos, sin           (n,) 1/range of the rays, 1/metres, and cosine and sine of their bearings
+    sigma_range, sigma_bearing  noise of a ray, metres and radians
+    """
     if code == WCLM:
         return wclm.fit_wclm(inverse, cos, sin, sigma_range, sigma_bearing)
     if code == ARRAS_SIEGWART:

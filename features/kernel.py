@@ -54,7 +54,10 @@ TRIMMED_RAYS = 1
 
 @inlined
 def within_gate(inverse: float, cos: float, sin: float, u: float, v: float, settings: Settings) -> bool:
-    """Return True if a ray is within the inlier gate of the line; also if the line is NaN."""
+    """Return True if a ray is within the inlier gate of the line (u, v); also if the line is NaN.
+
+    inverse, cos, sin  1/range of the ray, 1/metres, and cosine and sine of its bearing
+    """
     p, t = u * cos + v * sin, v * cos - u * sin
     residual = inverse - p
     variance = (settings.sigma_range * p * p) ** 2 + (settings.sigma_bearing * t) ** 2

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from .compiled import inlined
 from .normal_equations import sums_over
+from .normal_limits import NORMAL_LIMIT
 from .rays import MISSING_STEPS, TURN, Rays, distance_squared, widest_gap, wrap_index
 from .segments import Segments, add_rays, copy_segment, join_segments, joint_line, line, segment_chi2
 from .settings import Settings
@@ -20,8 +21,7 @@ MIN_SEGMENT_RAYS = 4
 MAX_BRIDGED = 4
 
 # Squared normalised residual up to which an unassigned ray extends the line next to it.
-# Origin: chosen, three standard deviations; not measured.
-EXTENSION_GATE = 9.0
+EXTENSION_GATE = NORMAL_LIMIT**2  # Origin: definition.
 
 # Instead of the number of rays between two segments: none, and no break either. Origin: definition.
 ADJACENT = -1

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .compiled import inlined, vectorised
+from .normal_limits import GROSS_LIMIT
 from .settings import Settings
 from .types import Floats, Integers
 
@@ -26,9 +27,9 @@ NEIGHBOUR_STEPS = 1.5
 # Range per metre of arc on a wall seen at 5 degrees from grazing; a steeper step of range is a break.
 # Origin: geometry, 85 degrees of incidence.
 GRAZING_SLOPE = math.tan(math.radians(85.0))
-# Standard deviations by which a step of range must exceed that limit: five, of the difference of two ranges.
-# Origin: chosen, no break by noise alone; not measured.
-RANGE_STEP_SIGMAS = 5.0 * math.sqrt(2.0)
+# Standard deviations of range by which a step of it must exceed that limit, so that there is no break by noise alone:
+# GROSS_LIMIT, of the difference of two ranges. Origin: definition.
+RANGE_STEP_SIGMAS = GROSS_LIMIT * math.sqrt(2.0)
 # Steps of the bearing grid between two usable rays above which beams count as missing; one lost beam is allowed.
 # Origin: definition.
 MISSING_STEPS = 2.5

@@ -26,7 +26,12 @@ PENALTY = 30.0
 def segment_rays(
     rays: Rays, count: int, step: float, segments: Segments, gains: Floats, stack: Integers, settings: Settings
 ) -> int:
-    """Divide the rays of a scan into segments and return their number; some rays may be in no segment."""
+    """Divide the rays of a scan into segments and return their number; some rays may be in no segment.
+
+    count         number of rays
+    step          of the bearing grid, radians
+    gains, stack  memory, one entry for each ray
+    """
     segment_count = split_rays(rays, count, settings.penalty, segments, gains, stack)
     segment_count = merge_segments(rays, count, step, segments, segment_count, False, settings)
     refine_boundaries(rays, count, segments, segment_count, gains)

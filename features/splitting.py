@@ -22,6 +22,7 @@ from .normal_equations import (
     sums_over,
     sums_up_to,
 )
+from .normal_limits import NORMAL_LIMIT
 from .rays import TURN, Rays, wrap_index
 from .segments import Segments, append_segment, rotate_segments
 from .types import Floats, Integers
@@ -30,8 +31,7 @@ from .types import Floats, Integers
 MIN_SPLIT_RAYS = 2
 
 # Chi-square by which a boundary may be worse than the best one and still be considered: a likelihood of 1/90.
-# Origin: chosen, three standard deviations; not measured.
-MAX_BOUNDARY_CHI2 = 9.0
+MAX_BOUNDARY_CHI2 = NORMAL_LIMIT**2  # Origin: definition.
 
 # Rays to either side within which a boundary is refined. Origin: tuned on simulated scans.
 REFINE_WINDOW = 12
@@ -107,7 +107,12 @@ def best_split(prefix: Floats, begin: int, end: int, penalty: float, gains: Floa
 
 @inlined
 def split_rays(rays: Rays, count: int, penalty: float, segments: Segments, gains: Floats, stack: Integers) -> int:
-    """Split all rays into segments, at breaks and where two lines fit better; return their number."""
+    """Split all rays into segments, at breaks and where two lines fit better; return the number of segments.
+
+    count         number of rays
+    penalty       decrease of chi-square that a further break must bring
+    gains, stack  memory, one entry for each ray
+    """
     segment_count = 0
     run = 0
     while run < count:

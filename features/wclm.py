@@ -28,10 +28,11 @@ import numpy as np
 from .compiled import vectorised
 from .line_fit import LineFit, ray_arrays
 from .normal_equations import Sums, solve_line
+from .normal_limits import GROSS_LIMIT
 from .types import Floats, Noise
 
-# Maximum squared normalised residual of an inlier. Origin: chosen, five standard deviations; not measured.
-INLIER_GATE = 25.0
+# Maximum squared normalised residual of an inlier.
+INLIER_GATE = GROSS_LIMIT**2  # Origin: definition.
 
 # Number of reweightings of the maximum-likelihood fit. Origin: measured, from a least-squares fit the first one comes
 # within 1 % of the optimum.
@@ -103,9 +104,14 @@ def reweighted(
 ) -> tuple[float, float, float, float, float, float, int]:
     """Reweight the maximum-likelihood fit once, from the line (u, v).
 
-    Returns (u, v, Cuu, Cuv, Cvv, chi2, number of inliers). The weights are those of the first noise, sigma_range and
-    sigma_bearing; the covariance is that of these weights if the noise is the second one: with the normal matrix N and
-    the variances S of the rays, N^-1 A' W S W A N^-1, which is N^-1 if both are the same.
+    inverse, cos, sin                (n,) 1/range of the rays, 1/metres, and cosine and sine of their bearings
+    sigma_range, sigma_bearing       noise of a ray for the weights, metres and radians
+    learned_range, learned_bearing   noise of a ray for the covariance
+    gate                             squared normalised residual up to which a ray is an inlier
+
+    Returns (u, v, Cuu, Cuv, Cvv, chi2, number of inliers). The weights are those of the first noise; the covariance is
+    that of these weights if the noise is the second one: with the normal matrix N and the variances S of the rays,
+    N^-1 A' W S W A N^-1, which is N^-1 if both are the same.
     """
     range_variance, bearing_variance = sigma_range * sigma_range, sigma_bearing * sigma_bearing
     total = er = ei = hr = hi = k = used = learned = lr = li = 0.0
@@ -143,7 +149,7 @@ def reweighted(
 
 @vectorised
 def sandwich(nuu: float, nuv: float, nvv: float, luu: float, luv: float, lvv: float) -> tuple[float, float, float]:
-    """Return the entries uu, uv, vv of N L N, of symmetric matrices N and L (2, 2)."""
+    """Return the entries uu, uv, vv of N L N, given those of the symmetric matrices N and L (2, 2)."""
     return (
         nuu * nuu * luu + 2.0 * nuu * nuv * luv + nuv * nuv * lvv,
         nuu * nuv * luu + (nuu * nvv + nuv * nuv) * luv + nuv * nvv * lvv,

@@ -1,4 +1,4 @@
-"""Pose of the base now: that of the last scan, extrapolated by odometry, or by an even motion while odometry fails.
+"""Pose of the base now: that of the last scan, extrapolated by odometry, or by an even motion while odometry is failing.
 
 It is output only, and never enters the estimate.
 """
@@ -61,7 +61,7 @@ class _Fix:
     stamp     seconds, on the clock of odometry
     odometry  (3,) odometry pose at this time
     model     of odometry's errors; None if it is unknown
-    velocity  of the base while odometry fails, else None
+    velocity  of the base while odometry is failing, else None
     """
 
     stamp: float

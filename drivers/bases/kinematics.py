@@ -69,7 +69,10 @@ class ArcMotion:
 
 
 def motion_from_wheels(left: float, right: float, track: float, noise: OdometryNoise) -> ArcMotion:
-    """Return the arc from the wheels' travel (metres), with independent errors of the wheels."""
+    """Return the arc from the travel of the left and the right wheel, with independent errors of the wheels.
+
+    left, right, track  metres; the track is the distance between the wheels
+    """
     variance_left, variance_right = noise.wheel * abs(left), noise.wheel * abs(right)
     both, difference = variance_right + variance_left, variance_right - variance_left
     covariance = np.array([[both / 4, difference / (2 * track)], [difference / (2 * track), both / track**2]])
@@ -77,9 +80,11 @@ def motion_from_wheels(left: float, right: float, track: float, noise: OdometryN
 
 
 def motion_from_gyro(left: float, right: float, turn: float, duration: float, noise: OdometryNoise) -> ArcMotion:
-    """Return the arc with its length from the wheels' travel (metres) and its angle (radians) from a gyro.
+    """Return the arc with its length from the wheels and its angle from a gyro.
 
-    duration  of the arc, seconds; the gyro's variance is proportional to it
+    left, right  travel of the wheels, metres
+    turn         angle by the gyro, radians
+    duration     of the arc, seconds; the gyro's variance is proportional to it
     """
     variance = noise.wheel * (abs(left) + abs(right)) / 4
     return ArcMotion((right + left) / 2, turn, np.diag([variance, noise.gyro * duration]))

@@ -40,7 +40,8 @@ from .ros_messages import (
     decode,
     scan_of,
 )
-from .ros_reader import GROUND_TRUTH_TOPIC, RosReader, beams_topic
+from .ros_reader import GROUND_TRUTH_TOPIC, RosReader
+from .ros_scans import beams_topic
 from .stamp_units import is_valid_stamp
 from .stored_messages import StoredMessage
 

@@ -10,15 +10,13 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
-
 from .. import se2
 from ..errors import RecordingError
-from ..messages import Floats, GroundTruth, Message, Scan, YawRate, delay_odometry
+from ..messages import GroundTruth, Message, YawRate, delay_odometry
 from ..se2 import Pose
 from .decompression import DecompressionError, uncompressed_message
 from .multi_echo import MULTI_ECHO, first_echoes
-from .point_clouds import POINT_CLOUD, HeightCut, scan_of_cloud
+from .point_clouds import POINT_CLOUD, HeightCut
 from .range_units import ScanInUnits, find_range_unit
 from .reader import RecordingReader
 from .ros_contents import Contents, survey
@@ -32,14 +30,13 @@ from .ros_messages import (
     TRANSFORMS_ROS1,
     LidarMount,
     decode,
-    exact_scan_of,
-    intensities_of,
     planar_pose,
     ranges_of,
     scan_of,
     stamp_of,
     yaw_rate_of,
 )
+from .ros_scans import ScanConverter
 from .scan_topics import ScanTopic, choose_scan_topic
 from .sensor_clocks import Stream, stream_of
 from .stored_messages import (
@@ -54,11 +51,6 @@ GROUND_TRUTH_TOPIC = "/ground_truth"
 SHOWN_TOPICS = 6
 """Topics that the error names if none of them can be used."""
 MESSAGE_TYPES = frozenset({LASER_SCAN, ODOMETRY, IMU, POSE, BEAMS, TRANSFORMS, TRANSFORMS_ROS1})
-
-
-def beams_topic(scan_topic: str) -> str:
-    """Return the topic with the exact beams of the scans on a topic."""
-    return f"{scan_topic}_beams"
 
 
 class RosReader(RecordingReader):
@@ -119,27 +111,18 @@ class RosReader(RecordingReader):
             self.interpret(choice)
         readings = [ranges_of(message) for message, _ in contents.sample(scans)]
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
-        no_return = contents.find_no_return(scans, per_metre)
         imu = self.report.gyroscope_topic = self._choose_topic(contents, IMU, None)
         foreign, reason = self._foreign_scans
         if reason is not None:
             self.interpret(reason)
         shifts = self._shifts(scans, odometry, imu)
-        mounts: dict[str, LidarMount] = {}
-        poses: dict[str, Floats | None] = {}
-        beams: StoredMessage | None = None
+        converter = ScanConverter(contents, scans, self.cut, per_metre, contents.find_no_return(scans, per_metre))
         for stored in self._messages_to_read(final=True):
             try:
-                if stored.msgtype == BEAMS and scans is not None and stored.topic == beams_topic(scans):
-                    beams = stored
-                elif stored.msgtype == LASER_SCAN and stored.topic == scans:
-                    if foreign and stream_of(stored) in foreign:
-                        continue
-                    scan = self._scan(stored, beams, contents, mounts, per_metre, no_return)
-                    beams = None
-                    yield stored.number, scan
-                elif stored.msgtype == POINT_CLOUD and stored.topic == scans:
-                    yield stored.number, self._cloud_scan(stored, contents, mounts, poses)
+                if stored.msgtype in (BEAMS, LASER_SCAN, POINT_CLOUD):
+                    is_foreign = bool(foreign) and stored.msgtype == LASER_SCAN and stream_of(stored) in foreign
+                    if not is_foreign and (scan := converter.convert(stored)) is not None:
+                        yield stored.number, scan
                 elif odometry.is_in(stored):
                     shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
                     for reading in odometry.readings(stored):
@@ -157,42 +140,6 @@ class RosReader(RecordingReader):
         message = decode(stored.data, IMU, stored.encoding)
         axis = contents.fixed.up_axis(contents.base, message.header.frame_id)
         return yaw_rate_of(message, stored.received, axis)
-
-    def _scan(
-        self,
-        stored: StoredMessage,
-        beams: StoredMessage | None,
-        contents: Contents,
-        mounts: dict[str, LidarMount],
-        per_metre: float,
-        no_return: float,
-    ) -> Scan:
-        message = decode(stored.data, LASER_SCAN, stored.encoding)
-        stamp = stamp_of(message.header, stored.received)
-        frame = message.header.frame_id
-        if frame not in mounts:
-            mounts[frame] = contents.find_mount(frame)
-        if beams is not None and beams.received == stored.received:
-            exact = decode(beams.data, BEAMS, beams.encoding)
-            scan = exact_scan_of(exact, stamp, mounts[frame].pose)
-            strengths = intensities_of(message)
-            fits = strengths is not None and len(strengths) == len(scan.ranges)
-            return replace(scan, intensities=strengths) if fits else scan
-        scan = scan_of(message, stored.received, mounts[frame], per_metre)
-        return replace(scan, ranges=np.where(scan.ranges < no_return, scan.ranges, np.nan))
-
-    def _cloud_scan(
-        self,
-        stored: StoredMessage,
-        contents: Contents,
-        mounts: dict[str, LidarMount],
-        poses: dict[str, Floats | None],
-    ) -> Scan:
-        message = decode(stored.data, POINT_CLOUD, stored.encoding)
-        frame = message.header.frame_id
-        if frame not in mounts:
-            mounts[frame], poses[frame] = contents.find_mount(frame), contents.find_pose(frame)
-        return scan_of_cloud(message, stored.received, poses[frame], mounts[frame], self.cut)
 
     def _drive(self, scans: str | None, odometry: OdometryTopic, contents: Contents) -> Iterator[ScanInUnits]:
         """Yield all scans of a topic in the recording's order and in their own unit, with the odometry before them."""

@@ -22,23 +22,19 @@ from .. import se2
 from ..messages import Floats, Scan
 from .beam_times import STATED, BeamTimes
 from .scan_matching import match, middle_offset, scan_points, surface
-from .student import statistic, upper_limit
+from .student import CONTRADICTION_PROBABILITY, MIN_VALUES, statistic, upper_limit
 from .turns import Run, Turns
 
 # Pairs of scans after which a decision is tried, those first that are bent most differently. Origin: measured, 20 pairs
 # decide in most recordings, and 40 do not in two of five of one robot; 80 take two seconds of computing.
 LOOKS = 20, 40, 80
-# Pairs for a decision at least. Origin: chosen; Student's quantiles for fewer are beyond any data.
-MIN_PAIRS = 8
 # Radians, least difference of bending within a pair. Origin: chosen, the usual noise of a bearing; not measured.
 MIN_BENDING = 0.002
 # Metres between the scans of a pair at most. Origin: chosen, they should show the same surfaces; not measured.
 MAX_DISTANCE = 1.0
 # Probability of a wrong order if both explain the scans equally well. Origin: chosen. They do so only where little
 # depends on it: if one is true, the other explains the scans worse.
-ERROR_PROBABILITY = 1e-4
-# Probability below which the scans contradict other times of the beams. Origin: chosen, the usual level of a test.
-CONTRADICTION_PROBABILITY = 0.05
+WRONG_ORDER_PROBABILITY = 1e-4
 # Directions in which the bending of two scans is compared. Origin: numerical.
 DIRECTIONS = 48
 # Relative difference from which on the stated duration of a turn is not the time from scan to scan.
@@ -85,13 +81,13 @@ def _decision(hypotheses: Sequence[BeamTimes], costs: Sequence[tuple[float, ...]
 
     The error probability is shared out among the looks.
     """
-    if len(costs) < MIN_PAIRS or len(hypotheses) == 1:
+    if len(costs) < MIN_VALUES or len(hypotheses) == 1:
         return BeamOrderTest(None, len(costs), 0.0, stated)
     by_hypothesis = dict(zip(hypotheses, np.array(costs).T, strict=True))
     best = min(hypotheses, key=lambda times: float(by_hypothesis[times].mean()))
     better = {times: statistic(cost - by_hypothesis[best]) for times, cost in by_hypothesis.items() if times != best}
     opposite = better[_opposite(best, hypotheses)]
-    levels = ERROR_PROBABILITY / len(LOOKS), CONTRADICTION_PROBABILITY / len(LOOKS)
+    levels = WRONG_ORDER_PROBABILITY / len(LOOKS), CONTRADICTION_PROBABILITY / len(LOOKS)
     limit, of_others = (upper_limit(level, len(costs) - 1) for level in levels)
     certain = opposite > limit and min(better.values()) > of_others
     return BeamOrderTest(best if certain else None, len(costs), opposite, stated)

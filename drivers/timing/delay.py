@@ -22,7 +22,7 @@ import numpy as np
 from ..messages import Floats
 from .beam_times import STATED, BeamTimes
 from .robust_weights import MIN_ERROR, WEIGHT_ITERATIONS, robust_weights
-from .student import statistic, upper_limit
+from .student import CONTRADICTION_PROBABILITY, ERROR_PROBABILITY, MIN_VALUES, statistic, upper_limit
 from .turns import MAX_SCAN_PERIOD, Run, Turns, deskewed
 
 # Seconds, step of the time grid and of the delays that are tried; the minimum is interpolated.
@@ -35,19 +35,12 @@ MAX_DELAY = 1.0
 SPAN = 1.0
 # Seconds of a block. Origin: geometry, errors of turns over SPAN that are farther apart have no reading in common.
 BLOCK = SPAN
-# Blocks for an estimate at least. Origin: chosen; a jackknife of fewer says little about the standard deviation.
-MIN_BLOCKS = 8
 # Seconds. Largest standard deviation of a delay that the data determine. Origin: chosen; those of recordings are 0.006
 # to 0.02, and those of the noise of robots that stand 0.2 to 3.
 MAX_SIGMA = 0.1
-# Largest scale of odometry's turns; beyond, its turns are not those of the lidar.
-# Origin: chosen, well beyond calibration errors.
-MAX_TURN_SCALE = 2.0
-# Probability of finding a delay where there is none. Origin: chosen, so that no user meets it.
-ERROR_PROBABILITY = 1e-6
-# Probability below which the turns from scan to scan contradict a delay. Origin: chosen, the usual level of a test: a
-# delay that is not compensated does less harm than a wrong one.
-CONTRADICTION_PROBABILITY = 0.05
+# Factor between the motions of two sensors, or its inverse, beyond which they are not those of the same robot.
+# Origin: chosen, well beyond calibration errors, and far below the ratio of units.
+MAX_SCALE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +78,7 @@ def estimate_delay(turns: Turns, times: BeamTimes = STATED) -> Delay | None:
     spacing = float(np.median(np.concatenate([np.diff(run.stamps) for run in runs])))
     smoothing = _gaussian(max(spacing, float(np.median(np.diff(turns.odometry[:, 0])))))
     blocks = _collect(runs, turns.odometry, smoothing)
-    if blocks is None or len(blocks.yy) < MIN_BLOCKS:
+    if blocks is None or len(blocks.yy) < MIN_VALUES:
         return None
     weights = _weights(blocks)
     seconds, sigma = _jackknife(blocks, weights)
@@ -141,7 +134,7 @@ def _has_gap(stamps: Floats, first: float, last: float) -> bool:
 
 def _scale(xx: Floats, xy: Floats) -> Floats:
     """Return the best scale of odometry's turns at each delay."""
-    return np.asarray(np.clip(xy / np.maximum(xx, 1e-12), 1.0 / MAX_TURN_SCALE, MAX_TURN_SCALE))
+    return np.asarray(np.clip(xy / np.maximum(xx, 1e-12), 1.0 / MAX_SCALE, MAX_SCALE))
 
 
 def _best(blocks: _Blocks, weights: Floats) -> tuple[float, int, float]:

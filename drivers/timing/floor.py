@@ -29,6 +29,7 @@ import numpy as np
 from .. import se2
 from ..compiled import compiled, inlined
 from ..messages import Floats, Message, Odometry, Scan, SourceReport
+from .student import ERROR_PROBABILITY
 
 # Radians of a turn between two scans that are compared. Origin: chosen; a wall's line then leaves the tolerance within
 # a metre of its nearest point, and a turn by a right angle gives four of them.
@@ -71,8 +72,6 @@ SUPPORT_BY_OTHERS = 0.05
 # Share of the returns from the floor that may be nearer than where it is said to begin.
 # Origin: chosen, a small part; some of these returns are from objects.
 NEARER = 0.05
-# Probability of finding a floor where there is none. Origin: chosen, less than one in all drives of many robots.
-ERROR_PROBABILITY = 1e-6
 
 
 @dataclass(frozen=True, slots=True)

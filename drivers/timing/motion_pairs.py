@@ -7,14 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..messages import Floats
+from .delay import SPAN
 from .turns import Run
-
-# Seconds between the scans of a pair at least. Origin: chosen, as for delays; motions exceed the error of matching.
-SPAN = 1.0
-# Pairs for an estimate at least. Origin: chosen; a jackknife of fewer says little about the standard deviation.
-MIN_PAIRS = 8
-# Probability of a wrong decision. Origin: chosen, so that no user meets it.
-ERROR_PROBABILITY = 1e-6
 
 
 def covered_pairs(run: Run, stamps: Floats, max_period: float) -> Iterator[tuple[int, int]]:

@@ -17,13 +17,11 @@ import numpy as np
 
 from .. import se2
 from ..messages import Floats
-from .motion_pairs import ERROR_PROBABILITY, MIN_PAIRS, covered_pairs, jackknife_sigma, leave_one_out
-from .student import upper_limit
+from .delay import MAX_SCALE
+from .motion_pairs import covered_pairs, jackknife_sigma, leave_one_out
+from .student import ERROR_PROBABILITY, MIN_VALUES, upper_limit
 from .turns import MAX_SCAN_PERIOD, Run, Turns
 
-# Factor of odometry's distances, or its inverse, beyond which they are not those of the lidar.
-# Origin: chosen, well beyond calibration errors.
-MAX_SCALE = 2.0
 # Radians by which the heading must differ from the stated one: smaller errors are estimated while driving.
 # Origin: chosen, 20 degrees; a mount that was measured by eye is better.
 MIN_DIFFERENCE = 0.35
@@ -53,7 +51,7 @@ class MountHeading:
 def estimate_mount_heading(turns: Turns) -> MountHeading | None:
     """Return the heading over the turns of a drive; None if the data do not determine it."""
     equations = [equation for run in turns.runs for equation in _equations(run, turns)]
-    if len(equations) < MIN_PAIRS:
+    if len(equations) < MIN_VALUES:
         return None
     normal = np.array([rows.T @ rows for rows, _ in equations])
     right = np.array([rows.T @ values for rows, values in equations])

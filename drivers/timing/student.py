@@ -1,4 +1,4 @@
-"""Student's distribution: significance of a mean of few values.
+"""Student's distribution: significance of a mean of few values, and the levels of the tests.
 
 Only this would be needed of SciPy, and importing that takes as long as reading a recording of some minutes.
 """
@@ -10,6 +10,16 @@ import math
 import numpy as np
 
 from ..messages import Floats
+
+# Probability of changing what a recording states although it is right. Origin: chosen, so that no user meets it: less
+# than one in all drives of many robots.
+ERROR_PROBABILITY = 1e-6
+# Probability below which the scans contradict what was found from them. Origin: chosen, the usual level of a test: an
+# error that is not compensated does less harm than a wrong compensation.
+CONTRADICTION_PROBABILITY = 0.05
+# Values for a test at least. Origin: chosen; Student's quantiles for fewer are beyond any data, and a jackknife of
+# fewer says little about the standard deviation.
+MIN_VALUES = 8
 
 
 def statistic(values: Floats) -> float:

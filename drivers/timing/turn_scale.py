@@ -16,14 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..messages import Floats
-from .motion_pairs import ERROR_PROBABILITY, MIN_PAIRS, covered_pairs, jackknife_sigma, leave_one_out
+from .delay import MAX_SCALE
+from .motion_pairs import covered_pairs, jackknife_sigma, leave_one_out
 from .robust_weights import WEIGHT_ITERATIONS, robust_weights
-from .student import upper_limit
+from .student import ERROR_PROBABILITY, MIN_VALUES, upper_limit
 from .turns import MAX_ROTATION_SIGMA, Run
-
-# Factor by which the scale differs from an expected one at most, or its inverse.
-# Origin: chosen, well beyond calibration errors, and far below the ratio of units.
-MAX_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -42,9 +39,9 @@ class TurnScale:
     def decide(self, others: Sequence[float]) -> float | None:
         """Return 1 unless that is certainly wrong, else the one of some other scales that is right, or None."""
         reach = self.sigma * upper_limit(ERROR_PROBABILITY, self.pairs - 1)
-        if self.found - reach < MAX_FACTOR and self.found + reach > 1.0 / MAX_FACTOR:
+        if self.found - reach < MAX_SCALE and self.found + reach > 1.0 / MAX_SCALE:
             return 1.0
-        return next((one for one in others if 1.0 / MAX_FACTOR < self.found / one < MAX_FACTOR), None)
+        return next((one for one in others if 1.0 / MAX_SCALE < self.found / one < MAX_SCALE), None)
 
     def __str__(self) -> str:
         return f"{self.found:.3g} ± {self.sigma:.2g} times the turns that the scans show"
@@ -59,7 +56,7 @@ def estimate_turn_scale(runs: Sequence[Run], stamps: Floats, angles: Floats, max
     max_period  seconds between stamps at most, to interpolate between them
     """
     rows = np.array([row for run in runs for row in _turns_between(run, stamps, angles, max_period)])
-    if len(rows) < MIN_PAIRS or np.sqrt(np.mean(rows[:, 0] ** 2)) < MAX_ROTATION_SIGMA:
+    if len(rows) < MIN_VALUES or np.sqrt(np.mean(rows[:, 0] ** 2)) < MAX_ROTATION_SIGMA:
         return None
     weights = np.ones(len(rows))
     try:

@@ -66,8 +66,8 @@ def drive_of(
         points=[scans.features(row).points.xy for row in rows.tolist()],
         deviations=odometry_model.deviations,
         floors=odometry_model.floors,
-        failing=~scans.measured[rows],
-        measured=odometry_model.measured,
+        measured=scans.measured[rows],
+        has_odometry=odometry_model.measured,
         start=start,
         readings=np.concatenate([np.zeros(0), *(history.stamps for history in segments.histories)]),
     )

@@ -14,6 +14,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats
+from ..localisation.view_change import MAX_COMPARED_POINTS
 
 # Metres, side of a cell. Origin: chosen, a few times the noise of lidars; finer cells would only cost time.
 CELL = 0.1
@@ -26,7 +27,7 @@ MAX_RANGE = 25.0
 # Origin: chosen; not measured.
 REACH = 0.3
 # Rings of equal width up to REACH. Origin: geometry, each as wide as a cell.
-RINGS = 3
+RINGS = round(REACH / CELL)
 # Metres, standard deviation of the distance between a point and the points of other scans of the same surface.
 # Origin: chosen, a cell and the noise of lidars; not measured.
 FIT_SIGMA = 0.13
@@ -34,8 +35,6 @@ FIT_SIGMA = 0.13
 RING_DISTANCES = REACH * (np.arange(RINGS) + 0.5) / RINGS
 # Relative to the innermost ring. Origin: definition, normal distribution.
 RING_LIKELIHOODS = np.exp(-(RING_DISTANCES**2 - RING_DISTANCES[0] ** 2) / (2 * FIT_SIGMA**2))
-# Points of a scan that are compared, evenly subsampled. Origin: chosen, for speed; not measured.
-MAX_COMPARED_POINTS = 120
 
 
 class DistanceRings:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,8 @@ from drivers.compiled import compiled
 from ..geometry.segments import Floats, Integers
 from ..odometry.history import wheel_travel
 
-# Metres and radians of motion between two scans that are checked: as between keyframes by default, since scans nearer
-# to each other show nothing new. Origin: chosen, the defaults of `mapping.keyframe_distance` and `keyframe_turn`.
+# Metres and radians of motion between two scans that are checked: scans nearer to each other show nothing new.
+# Origin: chosen, about half the distance of keyframes; not measured.
 SAMPLE_DISTANCE, SAMPLE_TURN = 0.3, math.radians(10.0)
 # Returns below which a scan is not checked. Origin: chosen, a tenth of the beams of a half-circle lidar; not measured.
 MIN_POINTS = 20
@@ -33,8 +33,8 @@ class Drive:
     points      n arrays (p, 2), the valid returns in the base's frame, metres
     deviations  (4,) standard deviations of the random errors of odometry, see `OdometryModel.deviations`
     floors      (2,) standard deviations of a single odometry reading, metres and radians
-    failing     (n,) True for scans to which odometry does not lead, as it was missing or known to fail
-    measured    False if odometry is predicted at constant velocity
+    measured    (n,) False for scans to which odometry does not lead, as it was missing or failing
+    has_odometry  False if the motions are predicted at constant velocity throughout
     start       stamp (seconds) from which times in texts are counted
     readings    (m,) stamps of the odometry readings; between two of them odometry is interpolated. Without any, there
                 is one at each scan
@@ -47,8 +47,8 @@ class Drive:
     points: Sequence[Floats]
     deviations: Floats
     floors: Floats
-    failing: NDArray[np.bool_]
-    measured: bool = True
+    measured: NDArray[np.bool_]
+    has_odometry: bool = True
     start: float = 0.0
     readings: Floats = field(default_factory=lambda: np.zeros(0))
 
@@ -59,19 +59,15 @@ class Drive:
         """Return the drive with those scans only that are SAMPLE_DISTANCE or SAMPLE_TURN apart and not empty."""
         counts = np.array([len(points) for points in self.points], dtype=np.int64)
         rows = _sample(self.odometry, self.poses, counts)
-        failing = np.diff(np.cumsum(self.failing)[rows], prepend=0) > 0  # at any scan since the one before
-        return Drive(
-            self.stamps[rows],
-            self.poses[rows],
-            self.odometry[rows],
-            self.segment[rows],
-            [np.ascontiguousarray(self.points[row], dtype=np.float64) for row in rows.tolist()],
-            self.deviations,
-            self.floors,
-            failing,
-            self.measured,
-            self.start,
-            self.readings,
+        unmeasured = np.cumsum(~self.measured)[rows]
+        return replace(
+            self,
+            stamps=self.stamps[rows],
+            poses=self.poses[rows],
+            odometry=self.odometry[rows],
+            segment=self.segment[rows],
+            points=[np.ascontiguousarray(self.points[row], dtype=np.float64) for row in rows.tolist()],
+            measured=np.diff(unmeasured, prepend=0) == 0,  # at all scans since the one before
         )
 
     def between_readings(self, first: int, last: int) -> tuple[int, int]:

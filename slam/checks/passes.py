@@ -18,21 +18,18 @@ from drivers.compiled import compiled
 from drivers.elapsed import elapsed
 
 from ..geometry.segments import Floats, Integers
+from ..mapping.sight_lines import MIN_DEPTH
+from .distance_rings import CELL
 from .drive import Drive
-from .row_groups import consecutive_groups
+from .row_groups import MAX_GAP, consecutive_groups
 from .suspect import MAP, Suspect
 
 # Metres of driving between two passes of a place. Origin: chosen, more than one room; not measured.
 PASS_DISTANCE = 20.0
 # Metres; sight lines and points beyond are left out: half a degree moves them by more than a cell. Origin: chosen.
 MAX_RANGE = 15.0
-# Metres, least side of a cell. Origin: chosen, a few times the noise of lidars; not measured.
-MIN_CELL = 0.1
-# Cells of the grid at most: larger areas have larger cells. Origin: numerical, 16 MB in two grids.
+# Cells of the grid at most: larger areas have cells larger than CELL. Origin: numerical, 16 MB in two grids.
 MAX_CELLS = 2_000_000
-# Metres before its end at which a sight line stops to show free space, and after a wall's crossing that it must go on:
-# slanting walls and pose errors. Origin: chosen, as in `slam.mapping.sight_lines`; not measured.
-MARGIN = 0.3
 # Cells around a hit that count as occupied too. Origin: chosen, two: 0.2 m, the blur of a usable map.
 BLUR = 2
 # Cells of occupied space that a sight line crosses where it crosses a wall: fewer is the edge of something, more is a
@@ -49,8 +46,6 @@ MAX_CONTRADICTION = 0.1
 # Origin: tuned on the same recordings. In right maps there are up to 5 scans in a row (fr079), with 0.7 contradicting
 # points per agreeing one, and 2 in a row with 1.01 (Intel); in the wrong maps of fhw and edmonton 1.03 and 1.8.
 MIN_SCANS = 3
-# Scans without contradiction that may lie between two of one interval. Origin: chosen, about a metre.
-MAX_GAP = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,15 +103,15 @@ def compare_passes(drive: Drive, travelled: Floats) -> Contradictions:
     """Compare each scan of a sampled drive with earlier passes; `travelled` (n,) metres."""
     low = drive.poses[:, :2].min(axis=0) - MAX_RANGE
     size = drive.poses[:, :2].max(axis=0) + MAX_RANGE - low
-    cell = max(MIN_CELL, math.sqrt(float(size.prod()) / MAX_CELLS))
+    cell = max(CELL, math.sqrt(float(size.prod()) / MAX_CELLS))
     rows, columns = (math.floor(extent / cell) + 1 for extent in size)
     free, hit = (np.full((rows, columns), np.inf, dtype=np.float32) for _ in range(2))
     in_grid = (drive.poses - np.array([*low, 0.0])) * np.array([1.0 / cell, 1.0 / cell, 1.0])
     for points, pose, at in zip(drive.points, in_grid, travelled, strict=True):
-        _enter(free, hit, points / cell, pose, at, MAX_RANGE / cell, MARGIN / cell)
+        _enter(free, hit, points / cell, pose, at, MAX_RANGE / cell, MIN_DEPTH / cell)
     counts, earlier = np.zeros((len(drive), 3), dtype=np.int64), np.zeros(len(drive))
     for k, (points, pose, at) in enumerate(zip(drive.points, in_grid, travelled, strict=True)):
-        earlier[k] = _compare(free, hit, points / cell, pose, at, MAX_RANGE / cell, MARGIN / cell, counts[k])
+        earlier[k] = _compare(free, hit, points / cell, pose, at, MAX_RANGE / cell, MIN_DEPTH / cell, counts[k])
     total = np.array([len(points) for points in drive.points])
     return Contradictions(counts[:, 0], counts[:, 1], counts[:, 2], total, earlier)
 

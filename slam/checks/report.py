@@ -27,7 +27,7 @@ def find_suspects(drive: Drive) -> list[Suspect]:
     # where the view changes abruptly, the path says nothing about odometry
     odometry = [
         suspect
-        for suspect in (wrong_odometry(sampled, steps) if sampled.measured else ())
+        for suspect in (wrong_odometry(sampled, steps) if sampled.has_odometry else ())
         if not any(suspect.first <= other.stamp <= suspect.last for other in changed)
     ]
     found = [*misplaced, *changed, *odometry, *contradicting_passes(sampled)]

@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from ..geometry.segments import Integers
 
+# Scans without a finding that may lie between two findings of one interval. Origin: chosen, about a metre.
+MAX_GAP = 3
+
 
 def consecutive_groups(rows: Integers, gap: int) -> list[NDArray[np.int64]]:
     """Split increasing row numbers into groups whose neighbours differ by at most `gap`."""

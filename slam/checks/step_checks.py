@@ -11,16 +11,14 @@ from drivers import se2
 
 from ..formatting import counted
 from ..geometry.segments import Floats, Integers
-from ..localisation.odometry_comparison import GROSS_ERROR
+from ..localisation.odometry_comparison import GROSS_SHARE
 from ..odometry.history import wheel_travel
 from .drive import Drive
-from .row_groups import consecutive_groups
+from .row_groups import MAX_GAP, consecutive_groups
 from .steps import FIT_WEIGHT, Steps
 from .suspect import ODOMETRY, PLACEMENT, Suspect
 from .view_changes import MIN_RATIO, view_changes
 
-# Steps without a finding that may lie between two findings of one interval. Origin: chosen, about a metre.
-MAX_GAP = 3
 # Metres (RMS) by which the points of a scan differ between two poses that are not the same. Origin: tuned on the full
 # Intel log, where 0.3 hid visible breaks of the walls; two cells of the local field.
 MIN_DISPLACEMENT = 0.2
@@ -102,7 +100,7 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
         driven = se2.between(drive.poses[before], drive.poses[after])
         measured = se2.between(drive.odometry[before], drive.odometry[after])
         wrong = se2.between(measured, driven)
-        lasting = wheel_travel(wrong) > GROSS_ERROR * max(wheel_travel(driven), wheel_travel(measured))
+        lasting = wheel_travel(wrong) > GROSS_SHARE * max(wheel_travel(driven), wheel_travel(measured))
         slip = _displacement(drive, after, se2.compose(drive.poses[before], measured)) - misplaced[before:after].sum()
         if evidence > steps.threshold and lasting and slip > MIN_SLIP:
             worst = int(group[np.argmax(steps.slip[group])])

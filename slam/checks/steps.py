@@ -16,7 +16,8 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
-from ..localisation.odometry_comparison import GROSS_ERROR
+from ..localisation.odometry_comparison import GROSS_SHARE
+from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..odometry.history import wheel_travel
 from .distance_rings import DistanceRings, compared_points
 from .drive import Drive
@@ -45,8 +46,6 @@ FIRST_GRID, FINER_GRID, FINER_WIDTHS = 9, 5, (0.25, 0.5)
 # Metres of odometry between two scans above which the local field says nothing about a step.
 # Origin: chosen, as far as one sees into the next room; not measured.
 MAX_STEP = 5.0
-# Squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
-GROSS_DISTANCE = 16.3
 
 
 @dataclass(slots=True, eq=False)
@@ -99,7 +98,7 @@ def judge_steps(drive: Drive) -> Steps:
         if k >= FIELD_SCANS:
             field.remove(drive.points[k - FIELD_SCANS], drive.poses[k - FIELD_SCANS])
         if judged[k]:
-            if not drive.failing[k + 1]:
+            if drive.measured[k + 1]:
                 _judge(steps, k, drive, field, measured[k], float(prior[k]))
             if gross[k]:
                 _judge_odometry(steps, k, drive, field, measured[k])
@@ -166,5 +165,5 @@ def _grossly_wrong(drive: Drive, measured: Floats, distance: Floats) -> Floats:
     """Return (n - 1,) True for steps in which odometry is wrong by a large share of the motion."""
     moved = np.maximum(wheel_travel(measured), wheel_travel(se2.between(drive.poses[:-1], drive.poses[1:])))
     final = se2.between(drive.poses[:-1], drive.poses[1:])
-    wrong = wheel_travel(se2.between(measured, final)) > GROSS_ERROR * moved
-    return np.asarray(wrong & (distance > GROSS_DISTANCE))
+    wrong = wheel_travel(se2.between(measured, final)) > GROSS_SHARE * moved
+    return np.asarray(wrong & (distance > MAX_SQUARED_DISTANCE))

@@ -14,8 +14,9 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Integers
+from ..mapping.sight_lines import MIN_DEPTH
 from .drive import Drive
-from .passes import MARGIN, MAX_CONTRADICTION
+from .passes import MAX_CONTRADICTION
 
 # Directions in which the ranges of a scan are compared. Origin: chosen, the beams of a half-circle lidar; a sparser
 # lidar leaves some empty, which are not compared.
@@ -58,4 +59,4 @@ def _compare(before, points, step, counts):  # type: ignore[no-untyped-def]
             low, high = min(low, nearest[i % DIRECTIONS]), max(high, farthest[i % DIRECTIONS])
         if high > 0.0:
             distance = math.hypot(x, y)
-            counts[0 if distance < low - MARGIN else 1 if distance > high + MARGIN else 2] += 1
+            counts[0 if distance < low - MIN_DEPTH else 1 if distance > high + MIN_DEPTH else 2] += 1

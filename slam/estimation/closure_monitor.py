@@ -16,7 +16,7 @@ from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
 
-# Metres of driving for which a closure is monitored. Origin: chosen, as OLD_DISTANCE; not measured.
+# Metres of driving for which a closure is monitored: after it, walls that were seen since are old.
 MONITORED_DISTANCE = OLD_DISTANCE
 # Metres of driving between two checks. Origin: chosen, ten checks of a closure; not measured.
 CHECK_INTERVAL = MONITORED_DISTANCE / 10.0

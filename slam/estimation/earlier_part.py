@@ -25,7 +25,7 @@ from drivers import se2
 from ..geometry.small_matrices import inverse
 from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult, TrackingStatus
-from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from .closure_monitor import MONITORED_SCANS, ClosureMonitor
@@ -64,7 +64,7 @@ class EarlierPart:
         the time of a lost robot would be spent on searching poses for scans that fit nowhere.
         """
         self._scans += 1
-        if self._balance == -DECIDING_MARGIN and not self._counts(scan.odometry):
+        if self._balance == -DECIDING_MARGIN and not self._is_far_enough(scan.odometry):
             self.monitor.record(scan)
             return None
         tracking = track(self.state, scan, StageTimer())
@@ -93,17 +93,17 @@ class EarlierPart:
         motion = model.correct(self._last_seen.odometry_motion(odometry))
         information = inverse(model.covariance(motion) + np.diag(PREDICTION_SIGMAS**2))
         predicted = Prediction(se2.compose(self._last_seen.pose, motion), information)
-        return not model.measured or predicted.squared_distance(pose) <= KERNEL**2
+        return not model.measured or not predicted.excludes(pose)
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
         """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""
-        if not evidence or not self._counts(odometry):
+        if not evidence or not self._is_far_enough(odometry):
             return
         self._travelled += self._travel(odometry)
         self._balance = max(self._balance + evidence, -DECIDING_MARGIN)
         self._counted = odometry
 
-    def _counts(self, odometry: se2.Pose) -> bool:
+    def _is_far_enough(self, odometry: se2.Pose) -> bool:
         """Return True if a scan is far enough from the last one that was counted."""
         distance = CLOSE_SHARE * self.state.config.mapping.keyframe_distance
         return self._counted is None or self._travel(odometry) >= distance

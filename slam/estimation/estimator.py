@@ -143,7 +143,7 @@ class Estimator:
         lost = self._frozen_state is not None
         self.state, self._frozen_state, self._earlier = self.result, None, None
         self.state.frozen, self.state.untracked_scans, self.state.tentative = False, [], []
-        self.state.last_view = None
+        self.state.last_tracked = None
         self.state.mapper.gauge.hold(self.state.mapper)
         if lost:
             self.begin_part(self.state.predict(odometry), odometry, kidnapped=True)

@@ -15,17 +15,15 @@ from ..geometry.small_matrices import inverse
 from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult
 from ..matching.distance_field import DistanceField
-from ..matching.offset_tiles import MAX_DISTANCE
-from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction, match_points
+from ..matching.offset_tiles import MAX_CORRECTED_SIGMA, MAX_CORRECTED_TURN_SIGMA
+from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, match_points
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_motions import UNMEASURED_MOTION_SIGMAS, scan_match_by
 from .slam_state import SlamState
 
-# Metres and radians: standard deviations of the pose of a new scan relative to an old one up to which it is matched to
-# both. Origin: definition, a third of what Gauss-Newton on the distance field corrects: MAX_DISTANCE, and that at 4 m.
-MAX_LINK_SIGMA = MAX_DISTANCE / 3.0
-MAX_LINK_TURN_SIGMA = MAX_LINK_SIGMA / 4.0  # Origin: as MAX_LINK_SIGMA.
-LINK_SIGMAS = np.array([MAX_LINK_SIGMA, MAX_LINK_SIGMA, MAX_LINK_TURN_SIGMA])  # Origin: definition.
+# Metres, metres, radians: standard deviations of the pose of a new scan relative to an old one up to which it is
+# matched to both, as Gauss-Newton on the distance field corrects it.
+LINK_SIGMAS = np.array([MAX_CORRECTED_SIGMA, MAX_CORRECTED_SIGMA, MAX_CORRECTED_TURN_SIGMA])
 
 
 def link_revisited(state: SlamState, scan: ProcessedScan) -> bool:
@@ -76,12 +74,13 @@ def _match_around(state: SlamState, old: int) -> PointMatch | None:
 def _is_elsewhere(state: SlamState, match: PointMatch) -> bool:
     """Return True if the last keyframe fits the points around an old one at another pose than that in the map."""
     expected = Prediction(state.mapper.keyframe_poses[-1], np.diag(PREDICTION_SIGMAS**-2.0))
-    return expected.squared_distance(match.pose) > KERNEL**2
+    return expected.excludes(match.pose)
 
 
 def _is_well_known(covariance: Floats) -> bool:
     """Return True if scans of two keyframes can be matched, given the covariance (3, 3) of their relative pose."""
-    return position_sigma(covariance) < MAX_LINK_SIGMA and bool(np.sqrt(covariance[2, 2]) < MAX_LINK_TURN_SIGMA)
+    turn = float(np.sqrt(covariance[2, 2]))
+    return position_sigma(covariance) < MAX_CORRECTED_SIGMA and turn < MAX_CORRECTED_TURN_SIGMA
 
 
 def undetermined_share(tracking: TrackingResult) -> float:
@@ -95,8 +94,8 @@ def undetermined_share(tracking: TrackingResult) -> float:
     by_scan = inverse(tracking.registration.total_information + unknown)
     across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
     turn, share = float(by_scan[2, 2]), 0.0
-    if across > MAX_LINK_SIGMA**2:
-        share += float(np.linalg.eigvalsh(tracking.registered_covariance[:2, :2])[0]) / MAX_LINK_SIGMA**2
-    if turn > MAX_LINK_TURN_SIGMA**2:
-        share += float(tracking.registered_covariance[2, 2]) / MAX_LINK_TURN_SIGMA**2
+    if across > MAX_CORRECTED_SIGMA**2:
+        share += float(np.linalg.eigvalsh(tracking.registered_covariance[:2, :2])[0]) / MAX_CORRECTED_SIGMA**2
+    if turn > MAX_CORRECTED_TURN_SIGMA**2:
+        share += float(tracking.registered_covariance[2, 2]) / MAX_CORRECTED_TURN_SIGMA**2
     return share

@@ -30,8 +30,8 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
     odometry  pose of odometry at the scan
 
     A robot that was kidnapped since the anchor is where registration has it, with a weak prior; this is stored with the
-    keyframe. While odometry fails, the motion is that of the scans, with the covariance of one that is predicted. The
-    states `kidnapped` and `slipped` end here: the next motion begins at the new keyframe.
+    keyframe. While odometry is failing, the motion is that of the scans, with the covariance of one that is predicted.
+    The states `kidnapped` and `slipped` end here: the next motion begins at the new keyframe.
     """
     registration = tracking.registration
     measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
@@ -40,7 +40,7 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
         state.kidnapped_keyframes.append(state.mapper.keyframe_count)
         motion = registered
     else:
-        fails = state.tracker.odometry_fails
+        fails = state.tracker.odometry_failing
         if not fails:
             learn_motion(state, odometry, tracking)
         model = state.unmeasured_model if fails else state.odometry_model

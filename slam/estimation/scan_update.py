@@ -93,7 +93,7 @@ def update_map(
     tracked = tracking.status is TrackingStatus.TRACKED
     due = tracked and is_due(state, tracking)
     if tracking.status is TrackingStatus.NO_FEATURES:
-        update = _add_last_view(state, timer)
+        update = _add_last_tracked(state, timer)
     if due:
         state.pose = tracking.registration.pose
         state.driven += 0.0 if state.anchor is None else state.spacings(state.anchor_pose, state.pose)
@@ -106,42 +106,42 @@ def update_map(
         learn_between_keyframes(state, scan, tracking)
     extend_trajectory(state, scan.stamp, tracking)
     if tracked:
-        state.last_view = None if due else (scan, tracking)
+        state.last_tracked = None if due else (scan, tracking)
     return update
 
 
 def add_second_look(state: SlamState) -> None:
-    """Make the last view a keyframe at the end, if the robot has only stood where a part of the map begins.
+    """Make the last tracked scan a keyframe at the end, if the robot has only stood where a part of the map begins.
 
     A wall enters the map when a second keyframe has seen it, so there would be no map. While the robot may still drive
     on, a second look from the same place is no keyframe: with the same errors, it would count them as independent.
     """
-    if state.last_view is not None and _stands_at_first_keyframe(state, state.last_view[0].stamp):
-        _add_view(state, *state.last_view, StageTimer())
+    if state.last_tracked is not None and _stands_at_first_keyframe(state, state.last_tracked[0].stamp):
+        _add_earlier(state, *state.last_tracked, StageTimer())
 
 
-def _add_last_view(state: SlamState, timer: StageTimer) -> KeyframeUpdate | None:
+def _add_last_tracked(state: SlamState, timer: StageTimer) -> KeyframeUpdate | None:
     """Make the last tracked scan a keyframe if it tells more than odometry of the motion since the last one.
 
     The robot drives on where nothing is seen. From the last keyframe on, odometry's errors would count up to the next
-    view; from this one on, only those that no scan has corrected. A robot that has not moved since the last keyframe
-    would only see the same again.
+    scan that shows something; from this one on, only those that no scan has corrected. A robot that has not moved since
+    the last keyframe would only see the same again.
     """
-    view, state.last_view = state.last_view, None
-    if view is None or state.anchor is None or state.frozen:
+    last, state.last_tracked = state.last_tracked, None
+    if last is None or state.anchor is None or state.frozen:
         return None
-    scan, tracking = view
+    scan, tracking = last
     motion = state.odometry_model.correct(se2.between(state.anchor.odometry, scan.odometry))
     of_odometry = np.asarray(inverse(state.odometry_model.covariance(motion)))
     odometry_tells_more = is_positive_definite(of_odometry - tracking.registration.total_information)
     if odometry_tells_more or wheel_travel(motion) < MIN_MOTION_TRAVEL:
         return None
-    return _add_view(state, scan, tracking, timer)
+    return _add_earlier(state, scan, tracking, timer)
 
 
-def _add_view(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
+def _add_earlier(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
     """Make an earlier scan a keyframe, the last one that was tracked."""
-    state.last_view, state.pose = None, tracking.registration.pose
+    state.last_tracked, state.pose = None, tracking.registration.pose
     state.driven += state.spacings(state.anchor_pose, state.pose)
     return _add_keyframe(state, scan, tracking, timer)
 

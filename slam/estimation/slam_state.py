@@ -34,8 +34,8 @@ from ..recognition.location import LOST, Expectation
 from .plan_prior import PlanPrior
 from .tracking_checkpoint import Anchor, TrackingCheckpoint
 
-# Metres of local map around a robot whose pose was set from outside. Origin: chosen, as far as the distance field
-# reaches; not measured.
+# Metres of local map around a robot whose pose was set from outside. Origin: chosen, a usual range indoors; not
+# measured.
 RELOCALISED_RADIUS = 12.0
 
 
@@ -45,7 +45,7 @@ class SlamState:
     mapper               graph, landmarks and keyframes
     trajectory           poses of all tracked scans, relative to keyframes
     odometry_model       learned errors of the odometry
-    unmeasured_model     errors of motions that are predicted while odometry fails
+    unmeasured_model     errors of motions that are predicted while odometry is failing
     tracker              last pose fix and the other state of tracking
     loops                search for loop closures
     joins                search for the place of a part of the map that is not connected
@@ -58,13 +58,13 @@ class SlamState:
     anchor               start of the motion to the next keyframe; None before the first keyframe
     learned_until        end of the last motion that odometry's errors were learned from; None if that is the anchor
     kidnapped            True if the robot was moved since the anchor without odometry noticing
-    slipped              True if odometry has failed since the anchor, see `TrackingResult`
+    slipped              True if odometry has slipped since the anchor, see `TrackingResult`
     kidnapped_keyframes  indices of the keyframes before which it was moved in this way
     frozen               True if only the trajectory is estimated and the map stays as it is
     plan                 plan of the building that supports the map; None without one
     untracked_scans      the last scans in a row that fitted nowhere, or only tentatively
     tentative            stamps and results of the last scans in a row whose tentative poses were found one from another
-    last_view            last tracked scan and its result; None if it is a keyframe, or nothing has been seen since
+    last_tracked         last tracked scan and its result; None if it is a keyframe, or nothing has been seen since
     """
 
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
@@ -90,7 +90,7 @@ class SlamState:
         self.plan: PlanPrior | None = None
         self.untracked_scans: list[ProcessedScan] = []
         self.tentative: list[tuple[float, TrackingResult]] = []
-        self.last_view: tuple[ProcessedScan, TrackingResult] | None = None
+        self.last_tracked: tuple[ProcessedScan, TrackingResult] | None = None
 
     @classmethod
     def restored(
@@ -194,7 +194,7 @@ class SlamState:
         """Set the base's pose in the map at `odometry`, regardless of the pose tracked so far."""
         self.tracker.move_to(pose, odometry)
         self.pose, self.kidnapped, self.untracked_scans = pose, True, []
-        self.tentative, self.last_view = [], None
+        self.tentative, self.last_tracked = [], None
         self.local_map = self.local_map_at(pose, RELOCALISED_RADIUS)
 
     def local_map_at(self, pose: se2.Pose, reach: float) -> LocalMap:
@@ -217,7 +217,7 @@ class SlamState:
         self.mapper.begin_part(measured=not self.kidnapped)
         self.mapper.free_space_evidence.clear()
         self.tracker.start_again(pose, odometry)
-        self.pose, self.untracked_scans, self.tentative, self.last_view = pose, [], [], None
+        self.pose, self.untracked_scans, self.tentative, self.last_tracked = pose, [], [], None
         self.local_map = empty_local_map()
         self.local_field.clear()
         self.loops.clear()
@@ -260,7 +260,7 @@ class SlamState:
         were motions in the map before.
         """
         links = replace(self.local_field.state, inserted=(), inserted_poses=np.zeros((0, 3)), successor=None)
-        self.mapper, self.trajectory, self.pose, self.last_view = mapper, trajectory, fix.pose, None
+        self.mapper, self.trajectory, self.pose, self.last_tracked = mapper, trajectory, fix.pose, None
         self.tracker.move_to(fix.pose, fix.odometry)
         self.loops.clear()
         self._rebuild_surroundings(scans, links)

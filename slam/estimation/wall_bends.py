@@ -25,13 +25,13 @@ from ..matching.scan_points import LINE_DISTANCE, segments_of
 from ..preprocessing.preprocessor import ProcessedScan
 from .refinement import ScanHistory
 
-# Metres along a wall over which the points of a keyframe are averaged. Origin: numerical, half the least of LENGTHS.
-CELL = 0.1
 # Metres, correlation lengths of bends that are tried. Origin: numerical, from a door frame to the longest that a view
 # of some metres shows, each by three quarters more.
 LENGTHS = np.array([0.2, 0.35, 0.6, 1.0])
+# Metres along a wall over which the points of a keyframe are averaged. Origin: numerical, half the least of LENGTHS.
+CELL = 0.5 * float(LENGTHS[0])
 # Metres between two places that are compared, at most. Origin: numerical, C is small beyond twice the longest length.
-MAX_DISTANCE = 2.0
+MAX_DISTANCE = 2.0 * float(LENGTHS[-1])
 # Metres of a wall in one view that bends are estimated from. Origin: geometry, a shorter view hardly deviates from its
 # own line.
 MIN_VIEW = 1.0
@@ -39,7 +39,7 @@ MIN_VIEW = 1.0
 MAX_VIEWS = 20
 # Metres of a wall that are examined together, longer ones in stretches. Origin: numerical, twice MAX_DISTANCE; the time
 # grows with the cube.
-STRETCH = 4.0
+STRETCH = 2.0 * MAX_DISTANCE
 # Keyframes whose points are examined at once. Origin: numerical, so that their arrays take little memory.
 CHUNK = 256
 # Metres at the ends of segments that are left out: points of the surface around the corner are on the line as well.

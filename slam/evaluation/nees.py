@@ -20,8 +20,8 @@ import numpy as np
 from drivers import se2
 
 from ..errors import MapError
+from ..geometry.chi_square import chi_square_quantile
 from ..geometry.segments import Floats
-from ..graph.chi_square import chi_square_quantile
 
 GROSS = 0.999
 """Probability of the chi-square quantile beyond which a single value is a gross error."""

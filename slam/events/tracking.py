@@ -27,7 +27,7 @@ class ScanTracked:
     points         (p, 2) valid returns in the base's frame, metres
     covariance     (3, 3) of the pose in the map as it stands, in the base's frame; zero: unknown
     odometry_model copy of the error model of odometry as learned so far; None if it is unknown
-    velocity       of the base in its own frame while odometry fails, by which the motion is predicted; else None
+    velocity       of the base in its own frame while odometry is failing, by which the motion is predicted; else None
     """
 
     stamp: float

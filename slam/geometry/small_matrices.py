@@ -134,7 +134,7 @@ def mahalanobis_squared(xx, xy, yy, x, y):  # type: ignore[no-untyped-def]
 
 @inlined
 def bilinear_form(matrix, ux, uy, uz, vx, vy, vz):  # type: ignore[no-untyped-def]
-    """Return u' M v with the vectors u and v."""
+    """Return u' M v with the vectors u and v, and a symmetric matrix M (3, 3)."""
     first = ux * (matrix[0, 0] * vx + matrix[0, 1] * vy + matrix[0, 2] * vz)
     second = uy * (matrix[0, 1] * vx + matrix[1, 1] * vy + matrix[1, 2] * vz)
     return first + second + uz * (matrix[0, 2] * vx + matrix[1, 2] * vy + matrix[2, 2] * vz)

@@ -131,7 +131,7 @@ def _subtract_product_with_error(target, weighted, error):  # type: ignore[no-un
 
 @compiled
 def robust_cost(forms, ends, measured, information, scales, values):  # type: ignore[no-untyped-def]
-    """Return twice the robust cost."""
+    """Return twice the robust cost of the factors at `values` (n, 3)."""
     return _robust_cost(forms, ends, measured, information, scales, values, axes_of(values), np.zeros(3))
 
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import MapError
+from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.segments import Floats
 from .array_factors import BETWEEN, PRIOR, add_normal_equations, moved, robust_cost
 from .block_cholesky import Pattern, factorise, solve
 from .factors import MOTION_CAUCHY_SCALE
 
-# Per square metre and square radian; added to every pose so that unmeasured directions are determined.
-# Origin: numerical.
-MIN_INFORMATION = 1e-6
 # Damping of the first step, per square metre and square radian; it is divided by DAMPING_FACTOR after a step that
 # lowers the cost, and multiplied otherwise, up to MAX_DAMPING. Origin: numerical, the defaults of GTSAM.
 FIRST_DAMPING, DAMPING_FACTOR, MAX_DAMPING = 1e-5, 10.0, 1e5

@@ -15,6 +15,7 @@ from drivers.compiled import compiled
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
+from ..matching.offset_tiles import FIELD_CELL
 from ..matching.scan_features import ScanFeatures
 from .field_successor import FieldSuccessor, FieldSuccessorState
 
@@ -31,7 +32,7 @@ MAX_PATH = 20.0
 REFERENCE_DISTANCE = 4.0
 # Metres by which the pose of a keyframe may have changed since its points were inserted. Origin: chosen, two cells; not
 # measured.
-MAX_DISPLACEMENT = 0.1
+MAX_DISPLACEMENT = 2.0 * FIELD_CELL
 # Metres; smaller differences between two paths are rounding errors. Origin: numerical.
 ROUNDING = 1e-9
 

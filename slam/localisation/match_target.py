@@ -18,7 +18,6 @@ from ..mapping.local_map import LocalMap
 from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import Registration, register
 from ..matching.point_matcher import (
-    KERNEL,
     MIN_FIT,
     MIN_KNOWN_POINTS,
     SEARCH_FIT,
@@ -66,7 +65,7 @@ class ScanMatch:
 
     def contradicts(self, usual: Prediction) -> bool:
         """Return True if the scan fits better near another prediction, or far from the usual one."""
-        return self.points.prediction is not usual or usual.squared_distance(self.points.pose) > KERNEL**2
+        return self.points.prediction is not usual or usual.excludes(self.points.pose)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,10 +2,10 @@
 
 A person who walks beside the robot looks the same from scan to scan. Along a corridor nothing else determines the
 position, so a scan fits best where the robot stands beside a person who stands, though odometry has measured that it
-drives. An object that is small enough to move fits as a whole or not at all, so it is one event: it has moved, with the
-cost MOVED. Objects move in all directions, so two of them rarely look as if the robot had moved instead: each further
-one costs COINCIDENCE as well. If the scan without these objects agrees with odometry, and costs less with these costs
-than the whole scan where odometry must have failed, then odometry is right.
+drives. An object that is small enough to move fits as a whole or not at all, so that it has moved is one event, which
+costs MOVED_COST. Objects move in all directions, so two of them rarely look as if the robot had moved instead: each
+further one costs COINCIDENCE_COST as well. Odometry is right if the scan without these objects agrees with it and costs
+less, with these costs, than the whole scan where odometry must have slipped.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ from .prediction_error import PREDICTION_SIGMAS
 
 # Cost of an object having moved since it was mapped, a few metres before. Origin: chosen, one small object in five is
 # a person; not measured.
-MOVED = math.log(5.0)
+MOVED_COST = math.log(5.0)
 # Cost of another object having moved by the same distance as the first one. Origin: definition, minus the logarithm of
 # the share of a circle with a radius of 1 m, which a person walks in a second, that is within COARSE_SIGMA of a place.
-COINCIDENCE = -2.0 * math.log(COARSE_SIGMA)
+COINCIDENCE_COST = -2.0 * math.log(COARSE_SIGMA)
 # Metres, largest size of an object that may move: the width of a person with a bag. Origin: chosen; with 1.2 m, a slip
 # of the wheels in fr079 counted as furniture that had moved.
 MAX_SIZE = 0.8
 # Cost of odometry failing from one comparison of motions to the next. Origin: chosen, it fails for long once in ten
 # thousand comparisons, a kilometre, and that is decided by two of them.
-FAILURE = 0.5 * math.log(1e4)
+FAILURE_COST = 0.5 * math.log(1e4)
 # Objects that may move together with the robot for a while. Origin: chosen, a group of people around it.
 COMPANY = 5
 # Metres between the points of neighbouring beams of one object. Origin: chosen, the step of a walking person.
@@ -50,7 +50,7 @@ MAX_GAP = 0.3
 def match_without_moving(
     match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
 ) -> ScanMatch | None:
-    """Return the match of a scan without the objects that have moved; None if odometry has failed instead, or agrees.
+    """Return the match of a scan without the objects that have moved; None if odometry has slipped instead, or agrees.
 
     match        of the whole scan
     predictions  those with which it was matched, that of odometry first
@@ -59,12 +59,12 @@ def match_without_moving(
     """
     usual = predictions[0]
     excess = match.points.prediction.cost_of(match.points.pose) - usual.least_cost
-    if excess <= MOVED:
+    if excess <= MOVED_COST:
         return None
     small = _SmallObjects(scan)
     cost, moved = 0.0, []
     for number in small.by_gain(target, usual.pose, match.points.pose):
-        cost += MOVED + (COINCIDENCE if cost else 0.0)
+        cost += MOVED_COST + (COINCIDENCE_COST if cost else 0.0)
         if cost >= excess:
             return None
         moved.append(number)
@@ -85,7 +85,7 @@ def contradicts_without_company(usual: Prediction, pose: se2.Pose, scan: ScanFea
     """
     small = _SmallObjects(scan)
     rest = small.removed(small.by_gain(target, usual.pose, pose)[:COMPANY])
-    slip = Prediction(pose, information_of(PREDICTION_SIGMAS), FAILURE)
+    slip = Prediction(pose, information_of(PREDICTION_SIGMAS), FAILURE_COST)
     return target.match(rest, [usual, slip]).contradicts(usual)
 
 

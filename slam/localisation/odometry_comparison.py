@@ -1,4 +1,4 @@
-"""Comparison of odometry with the scans, over motions that are long enough to tell whether odometry fails for long.
+"""Comparison of odometry with the scans, over motions that are long enough to tell whether odometry is failing.
 
 A slip of the wheels, a late reading or a jump contradicts the scans for a moment. Odometry that stands still, also as
 the robot is pushed, and that of a broken encoder contradict them in each motion. After the time for which a robot keeps
@@ -12,10 +12,11 @@ from collections.abc import Callable
 import numpy as np
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import KERNEL, Prediction
+from ..matching.point_matcher import Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, VelocityFilter
@@ -30,7 +31,7 @@ STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 COMPARED_TRAVEL = 0.1
 # Share of its motion by which odometry must be wrong to be called slipping or standing still. Origin: chosen; errors of
 # calibration and ordinary slip are far below.
-GROSS_ERROR = 0.5
+GROSS_SHARE = 0.5
 # Seconds of a comparison that count at most: a slip after a stop is one comparison, and does not last.
 # Origin: definition, it takes two comparisons at least.
 MAX_COMPARED_SECONDS = 0.5 * STEADY_SECONDS
@@ -55,7 +56,7 @@ class OdometryComparison:
         return self.contradicted_for >= STEADY_SECONDS
 
     def stop_odometry(self) -> None:
-        """Take odometry as failing, whose readings have stopped."""
+        """Take odometry as failing, as its readings have stopped."""
         self.contradicted_for = max(self.contradicted_for, STEADY_SECONDS)
 
     def restart(self) -> None:
@@ -101,7 +102,7 @@ class OdometryComparison:
             return
         motion = model.correct(by_odometry)
         error = model.covariance(motion) + prediction_error
-        gross = GROSS_ERROR * max(motion, by_scans, key=wheel_travel)
+        gross = GROSS_SHARE * max(motion, by_scans, key=wheel_travel)
         if not _is_noticed(gross, error):
             return
         self._compare(by_scans, motion, gross, error + 2.0 * covariance, is_certain)
@@ -142,4 +143,4 @@ class OdometryComparison:
 
 def _is_noticed(difference: se2.Pose, covariance: Floats) -> bool:
     """Return True if a difference of two motions exceeds their errors, of covariance (3, 3)."""
-    return bool(difference @ inverse(covariance) @ difference > KERNEL**2)
+    return bool(difference @ inverse(covariance) @ difference > NORMAL_LIMIT**2)

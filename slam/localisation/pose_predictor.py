@@ -9,10 +9,11 @@ from dataclasses import replace
 import numpy as np
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS, PointMatch, Prediction
+from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
@@ -29,7 +30,7 @@ FROM_TENTATIVE = 2
 class PosePredictor:
     """Predictions from the last fix on.
 
-    While odometry fails for long, each motion is predicted to be even, as without odometry.
+    While odometry is failing, each motion is predicted to be even, as without odometry.
 
     model  of odometry's errors; another one may be set at any time
     """
@@ -63,16 +64,16 @@ class PosePredictor:
 
     @property
     def measured(self) -> bool:
-        """True if odometry measures the motion: there is odometry, and it has not failed for long."""
+        """True if odometry measures the motion: there is odometry, and it is not failing."""
         return self.model.measured and not self._comparison.failing
 
     @property
-    def odometry_fails(self) -> bool:
-        """True if there is odometry, but it has failed for so long that the motion is predicted without it."""
+    def odometry_failing(self) -> bool:
+        """True if there is odometry, but it is failing, so that the motion is predicted without it."""
         return self.model.measured and self._comparison.failing
 
     def stop_odometry(self) -> None:
-        """Predict without odometry, whose readings have stopped, until it agrees with the scans again."""
+        """Take odometry as failing, as its readings have stopped, until it agrees with the scans again."""
         self._comparison.stop_odometry()
 
     @property
@@ -100,7 +101,7 @@ class PosePredictor:
         """
         if not self._since_fix:
             return False
-        reach = SEARCH_DEVIATIONS * float(self._velocity.deviations(self._since_fix)[:2].max())
+        reach = NORMAL_LIMIT * float(self._velocity.deviations(self._since_fix)[:2].max())
         periods = self._since_fix / max(self._clock.period, MIN_PERIOD)
         return reach > MAX_SEARCH_SHIFT and periods >= taken + missing
 
@@ -157,7 +158,7 @@ class PosePredictor:
             usual = self._by_odometry(self._alternative, odometry, usual.inertia, self._alternative_cost)
         predictions = [usual] if self._since_fix is None else [usual, slip]
         self._since_slip += interval
-        if self._before_slip is not None and self._since_slip < STEADY_SECONDS and not self.odometry_fails:
+        if self._before_slip is not None and self._since_slip < STEADY_SECONDS and not self.odometry_failing:
             predictions.append(self._by_odometry(self._before_slip, odometry, slip))
         if self._tentative is not None:
             even = self._even_motion(self._tentative.pose, interval)
@@ -213,7 +214,7 @@ class PosePredictor:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
         assert self._reference is not None
-        if self.odometry_fails:
+        if self.odometry_failing:
             seconds = interval if self._since_fix is None else self._since_fix
             even, uneven = (self._even_motion(self._fix.pose, seconds, cost) for cost in (0.0, SlipStatistics().cost))
             return self._unmeasured(even, uneven, seconds, seconds)

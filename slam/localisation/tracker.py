@@ -1,18 +1,19 @@
-"""Track the pose from scan to scan, including while odometry fails.
+"""Track the pose from scan to scan, also where odometry slips or is failing.
 
 Each scan is matched near the pose that odometry predicts from a reference, the last keyframe. Odometry may slip, stand
 still for a second and then catch up, jump, or count backwards, so the scan is also matched near the pose of a robot
 that moves on evenly, at the velocity of the scans before. If it fits best there, its pose is tentative, and the next
-scan decides if odometry continues from there, has caught up, or keeps failing: these are equally probable. If a scan
+scan decides if odometry continues from there, has caught up, or keeps slipping: these are equally probable. If a scan
 fits nowhere, the pose follows odometry. After several scans in a row without a certain pose the robot counts as lost.
 
-Without odometry, and while it fails for long, each motion is predicted to be even. Most are, so the prediction is
+Without odometry, and while it is failing, each motion is predicted to be even. Most are, so the prediction is
 narrow; but a robot that starts or stops to turn is off by many of its standard deviations, and a scan fits well at many
 wrong headings. So all poses that the robot can reach by accelerating are searched at every scan.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -21,8 +22,9 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.chi_square import chi_square_quantile
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import KERNEL, MIN_KNOWN_POINTS, PointMatch, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
@@ -31,18 +33,16 @@ from .moving_objects import contradicts_without_company, match_without_moving
 from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
 from .prediction_error import PREDICTION_SIGMAS
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
-from .view_change import View, ViewComparison
+from .view_change import MIN_POINTS, View, ViewComparison
 
 # Difference in cost up to which another place may be the right one. Origin: measured, where a lidar that sees 180
 # degrees looks into a room for the first time, parallel walls fit together at wrong places, which cost up to 10.5 less.
 AMBIGUITY = 10.0
 # Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
 # Origin: chi-square, 3 dof, 99.7 %.
-MAX_SLIP = 3.7
+MAX_SLIP = math.sqrt(chi_square_quantile(0.997, 3))
 # Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5
-# Points that a scan without walls needs; few points fit nearly everywhere. Origin: chosen; not measured.
-MIN_POINTS = 30
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
 # well, the robot was kidnapped. Origin: chosen; no measurement recorded.
 SUSPICIOUS_DROP = 0.5
@@ -111,18 +111,18 @@ class Tracker:
         return self._untracked_in_a_row >= MAX_UNTRACKED_SCANS
 
     @property
-    def odometry_fails(self) -> bool:
-        """True if there is odometry, but it has failed for so long that the motion is predicted without it."""
-        return self._predictor.odometry_fails
+    def odometry_failing(self) -> bool:
+        """True if there is odometry, but it is failing, so that the motion is predicted without it."""
+        return self._predictor.odometry_failing
 
     def stop_odometry(self) -> None:
-        """Predict the motion without odometry, whose readings have stopped, until it agrees with the scans again."""
+        """Take odometry as failing, as its readings have stopped, until it agrees with the scans again."""
         self._predictor.stop_odometry()
 
     @property
     def predicted_velocity(self) -> VelocityFilter | None:
-        """Velocity at the last fix, by which the motion is predicted while odometry fails; None if it does not."""
-        return self._predictor.velocity if self.odometry_fails else None
+        """Velocity at the last fix, by which the motion is predicted while odometry is failing; None if it is not."""
+        return self._predictor.velocity if self.odometry_failing else None
 
     @property
     def may_have_been_carried(self) -> bool:
@@ -155,7 +155,7 @@ class Tracker:
         fits_by_chance = tracked and (differs or (slipped and match.poor and self._views.changed))
         if fits_by_chance:
             status, slipped = TrackingStatus.FAILED, False
-        if self.odometry_fails:
+        if self.odometry_failing:
             slipped = status is TrackingStatus.TRACKED
         from_last_tentative = predictions[-FROM_TENTATIVE:] if self._predictor.tentative is not None else []
         result = _result(
@@ -189,7 +189,7 @@ class Tracker:
 
     @property
     def measured(self) -> bool:
-        """True if the motion is measured by odometry, which has not failed for long."""
+        """True if odometry measures the motion: there is odometry, and it is not failing."""
         return self._predictor.measured
 
     def _match_to_last_metres(
@@ -206,7 +206,7 @@ class Tracker:
         last_metres = replace(target, field=target.recent())
         alone = last_metres.match(scan, predictions)
         expected = Prediction(alone.points.pose, information_of(PREDICTION_SIGMAS))
-        elsewhere = expected.squared_distance(match.points.pose) > KERNEL**2
+        elsewhere = expected.excludes(match.points.pose)
         if alone.contradicts(usual) or not elsewhere or alone.known < MIN_KNOWN_POINTS or alone.poor:
             return None
         return alone if last_metres.contradicts(scan, match.points.pose) else None
@@ -217,7 +217,7 @@ class Tracker:
         """Return the status of a scan, and True if it shows that odometry has slipped since its reference."""
         usual, slip = predictions[0], predictions[1] if len(predictions) > 1 else None
         chosen, pose = match.points.prediction, match.points.pose
-        contradicts = usual.squared_distance(pose) > KERNEL**2
+        contradicts = usual.excludes(pose)
         # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
         odometry_holds = (self._predictor.tentative is not None or chosen is not slip) and not contradicts
         # An earlier slip is confirmed: the pose was found from a tentative one, or where odometry has caught up.

@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.pose_steps import pose_error
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
@@ -18,8 +19,8 @@ from ..odometry.velocity import VelocityFilter
 from .prediction_error import PredictionError
 from .slip_statistics import SlipStatistics
 
-# Information of a pose that makes that of any scan invertible. Origin: numerical, far below that of a single point.
-CONDITIONING = 1e-6 * np.eye(3)
+# Information (3, 3) of a pose that makes that of any scan invertible. Origin: definition.
+CONDITIONING = MIN_INFORMATION * np.eye(3)
 
 
 class TrackingStatus(Enum):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from features.rays import MISSING_STEPS
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
@@ -40,14 +41,12 @@ SAME_PLACE_SHARE = 0.5
 # Metres beyond the ranges of the neighbouring beams within which a point agrees. Origin: chosen, what the steps of
 # ODOMETRY_ERRORS leave: 0.05 m, and 1 degree, which is 0.1 m at a range of 6 m; not measured.
 MARGIN = 0.15
-# Multiple of the median spacing of the beams up to which two beams are neighbours. Origin: chosen, one beam between
-# them may have no return.
-NEIGHBOUR_SPACINGS = 2.5
 # Metres around the robot within which points are compared. Origin: chosen, a usual range indoors; not measured.
 COMPARED_RADIUS = 12.0
-# Points that are compared, evenly subsampled. Origin: chosen, for speed; not measured.
+# Points of a scan that are compared with others, evenly subsampled. Origin: chosen, for speed; not measured.
 MAX_COMPARED_POINTS = 120
-# Points that both scans need for a comparison; few points agree nearly everywhere. Origin: chosen; not measured.
+# Points that a scan without walls needs to be tracked, and both scans of a comparison: few points fit nearly
+# everywhere. Origin: chosen; not measured.
 MIN_POINTS = 30
 # Metres of wheel travel between two scans above which the robot has driven. Origin: definition, the largest error in
 # ODOMETRY_ERRORS: within it the pose of a robot that stands, or is lifted, is known as well as the comparison needs.
@@ -89,7 +88,7 @@ class View:
         bearings = np.arctan2(self.points[:, 1], self.points[:, 0])
         order = np.argsort(bearings)
         bearings, ranges = bearings[order], np.hypot(self.points[order, 0], self.points[order, 1])
-        limit = NEIGHBOUR_SPACINGS * median(np.diff(bearings))
+        limit = MISSING_STEPS * median(np.diff(bearings))
         points = np.ascontiguousarray(subsample(other.near, MAX_COMPARED_POINTS))
         poses = se2.compose(motion, ODOMETRY_ERRORS)
         return bool(_agreeing_share(bearings, ranges, points, poses, limit) < SAME_PLACE_SHARE)

@@ -31,11 +31,12 @@ from drivers import se2
 
 from ..localisation.local_field import LocalField
 from ..mapping.mapper import Mapper
-from .criteria import MIN_INDEPENDENT, MIN_KNOWN, admits_closure, differ, fits, is_determined
+from .criteria import MIN_INDEPENDENT, MIN_KNOWN, differ, fits, is_determined
 from .decision import LoopDecision, LoopMatch
+from .followed_hypotheses import MEMORY, FollowedHypotheses
 from .judgement import Judgement
 from .look import SEARCH_INTERVAL, Look, Submaps
-from .loop_hypothesis import LoopAgreementState, LoopHypothesis
+from .loop_hypothesis import LoopAgreementState
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
 from .votes import (
@@ -56,12 +57,10 @@ MAX_PLACES = 8
 # Places beyond the estimate's uncertainty that are searched at a look. Origin: chosen, for time; within MEMORY 40 of
 # them are searched.
 DOUBTED_PLACES = 2
-# Metres of driving after the last support for which a hypothesis is followed. Origin: chosen; not measured.
-MEMORY = 40.0
 
 
 class LoopAgreement:
-    """Hypotheses of the last metres, and the search for new ones.
+    """Search for loop closures: hypotheses of the last metres, looks for and against the estimate, and new places.
 
     search  returns the matches of a look at a place
     joins   true if the places are in parts of the map that are not connected with the last keyframe
@@ -69,17 +68,24 @@ class LoopAgreement:
 
     def __init__(self, search: Search = Look.search, *, joins: bool = False) -> None:
         self._search_place, self._joins = search, joins
-        self._given_up: list[LoopHypothesis] = []
         self._candidates = 0
         self.returns: list[Return] = []
         """Looks of this run that agree with the estimate, for reports."""
         self._restore(LoopAgreementState(), Submaps())
 
+    def _restore(self, state: LoopAgreementState, submaps: Submaps) -> None:
+        self._last_search, self._submaps = state.last_search, submaps
+        self._searched = dict(state.searched)  # metres driven up to the last search of each place
+        self._returned_at = list(state.returned_at)  # metres driven up to each look that agrees with the estimate
+        self._contradictions = list(state.contradictions)  # metres driven up to each look that contradicts the estimate
+        self._hypotheses = FollowedHypotheses(state.hypotheses)
+        self._candidates, self._retracted = state.candidates, list(state.retracted)
+
     def __deepcopy__(self, memo: dict[int, object]) -> LoopAgreement:
         """Return an independent copy; matches and submaps are never changed and are shared."""
         other = LoopAgreement(self._search_place, joins=self._joins)
         other._restore(self.state, self._submaps.copy())
-        other._given_up, other.returns = list(self._given_up), list(self.returns)
+        other._hypotheses, other.returns = self._hypotheses.copy(), list(self.returns)
         return other
 
     def return_at(self, keyframe: int) -> LoopMatch | None:
@@ -106,10 +112,10 @@ class LoopAgreement:
         self._restore(state, Submaps(state.places, local_field))
 
     def clear(self) -> None:
-        """Discard all hypotheses: the map has been corrected."""
-        state = self.state
-        kept = LoopAgreementState(state.last_search, candidates=state.candidates, retracted=state.retracted)
-        self._restore(kept, Submaps())
+        """Discard all hypotheses and what looks have shown: the map has been corrected."""
+        self._hypotheses.clear()
+        self._searched, self._returned_at, self._contradictions = {}, [], []
+        self._submaps = Submaps()
 
     def free_submaps(self) -> None:
         """Free the submaps of old places, some megabytes. They are built again if a place is searched."""
@@ -144,27 +150,15 @@ class LoopAgreement:
 
         Hypotheses that only one look supports, and rivals of a loop that was closed, are not reported.
         """
-        decisions = [h.rejection for h in (*self._given_up, *(self._hypotheses if ended else ()))]
-        self._given_up = []
-        return [self.number(decision) for decision in decisions if decision is not None]
+        return [self.number(decision) for decision in self._hypotheses.take_rejected(ended=ended)]
 
     def note_rejection(self, decision: LoopDecision) -> None:
         """Keep, for reports, why a loop that looks agree on is not closed."""
-        for hypothesis in self._hypotheses:
-            if np.array_equal(hypothesis.motion, decision.correction):
-                hypothesis.rejection = decision
+        self._hypotheses.note_rejection(decision)
 
     def exclude(self, motion: se2.Pose) -> None:
         """Reject the motion of a retracted closure from now on."""
         self._retracted.append(motion)
-
-    def _restore(self, state: LoopAgreementState, submaps: Submaps) -> None:
-        self._last_search, self._submaps = state.last_search, submaps
-        self._searched = dict(state.searched)  # metres driven up to the last search of each place
-        self._returned_at = list(state.returned_at)  # metres driven up to each look that agrees with the estimate
-        self._contradictions = list(state.contradictions)  # metres driven up to each look that contradicts the estimate
-        self._hypotheses = [h.copy() for h in state.hypotheses]
-        self._candidates, self._retracted = state.candidates, list(state.retracted)
 
     def search(
         self, mapper: Mapper, local_field: LocalField, among: NDArray[np.bool_] | None = None
@@ -177,8 +171,7 @@ class LoopAgreement:
         if now - self._last_search < SEARCH_INTERVAL:
             return None
         self._last_search = now
-        self._given_up += [h for h in self._hypotheses if now - h.support[-1].travelled >= MEMORY]
-        self._hypotheses = [h for h in self._hypotheses if now - h.support[-1].travelled < MEMORY]
+        self._hypotheses.expire(now)
         self._returned_at = [at for at in self._returned_at if now - at < MEMORY]
         self._searched = {place: at for place, at in self._searched.items() if now - at < MEMORY}
         look = Look(mapper, local_field, self._submaps, among, apart=self._joins)
@@ -261,18 +254,8 @@ class LoopAgreement:
         least = least_quality([*new, *(vote for vote in others if vote is not None and fits(vote.match))])
         if votes.at_estimate is not None:
             self._judge_estimate(look, votes.at_estimate, least, local_field)
-        for hypothesis, vote in votes.tested:
-            supports = fits(vote.match) and vote.match.quality >= least
-            if supports and is_determined(vote.match):
-                _support(hypothesis, look, vote)
-            elif not supports and vote.match.known >= MIN_KNOWN:
-                hypothesis.contradictions.append(look.travelled)
-        for vote in new:
-            if vote.match.quality >= least:
-                hypothesis = LoopHypothesis(vote.motion)
-                _support(hypothesis, look, vote)
-                self._hypotheses.append(hypothesis)
-        self._merge_equal(look)
+        self._hypotheses.count(look, votes.tested, new, least)
+        self._hypotheses.merge_equal(look, has_returned=self._returned_at[-1:] == [look.travelled])
 
     def _judge_estimate(self, look: Look, vote: Vote, least: float, local_field: LocalField) -> None:
         """Count a look for or against the estimate, by the match that starts there; link the places if they agree.
@@ -290,19 +273,6 @@ class LoopAgreement:
                 self._contradictions = []
         elif vote.match.known >= MIN_KNOWN:
             self._contradictions.append(look.travelled)
-
-    def _merge_equal(self, look: Look) -> None:
-        """Keep one, that with the most support, of the hypotheses that have converged to the same motion.
-
-        One that has converged to the estimate is given up if the look agrees with that: nothing has to be corrected.
-        """
-        has_returned = self._returned_at[-1:] == [look.travelled]
-        kept = list[LoopHypothesis]()
-        for hypothesis in sorted(self._hypotheses, key=lambda h: -len(h.support)):
-            others = [*(other.motion for other in kept), *([np.zeros(3)] if has_returned else [])]
-            if all(differ(look, hypothesis.motion, motion) for motion in others):
-                kept.append(hypothesis)
-        self._hypotheses = kept
 
     def _note_rejections(self, look: Look) -> None:
         """Keep, for reports, why the hypotheses that the look supports are not accepted."""
@@ -323,11 +293,4 @@ class LoopAgreement:
 
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""
-        return Judgement(look, self._contradictions, self._hypotheses, self._returned_at, self._joins)
-
-
-def _support(hypothesis: LoopHypothesis, look: Look, vote: Vote) -> None:
-    """Add the match of a look to the support of a hypothesis, which becomes the motion that follows from the match."""
-    hypothesis.motion = vote.motion
-    hypothesis.support.append(look.loop_match(vote.old, vote.match))
-    hypothesis.admitted = admits_closure(look, vote.old, vote.match.pose)
+        return Judgement(look, self._contradictions, tuple(self._hypotheses), self._returned_at, self._joins)

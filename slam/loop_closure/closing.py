@@ -18,7 +18,7 @@ from .decision import LoopDecision, LoopMatch
 from .look import SEARCH_INTERVAL
 from .loop_status import LoopStatus
 from .relative_uncertainty import MAX_SQUARED_DISTANCE
-from .submap_search import SUBMAP_LENGTH
+from .submap_search import REVISIT_GAP, SUBMAP_LENGTH
 
 # Covariance (3, 3) of the temporary loop factor, which only moves the map into place, metres and radians.
 # Origin: chosen, tighter than any drift; not measured.
@@ -29,10 +29,6 @@ MIN_COINCIDING_SHARE = 0.5
 COINCIDENCE_OFFSET = 0.20
 # Radians, likewise. Origin: chosen; not measured.
 COINCIDENCE_HEADING = np.radians(6.0)
-
-# Metres of driving without an observation after which a wall is seen again, not still.
-# Origin: definition, two submaps: the recent one and that of an old place do not overlap.
-REVISIT_GAP = 2.0 * SUBMAP_LENGTH
 # Number of submap matches that have a point in common, as looks follow each other at a part of a submap: their errors
 # are not independent, so the covariance of each is multiplied by it. Origin: definition.
 POINT_SHARING = SUBMAP_LENGTH / SEARCH_INTERVAL

@@ -7,9 +7,11 @@ import math
 import numpy as np
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
+from ..geometry.chi_square import chi_square_quantile
 from ..geometry.pose_covariance import position_sigma
-from ..matching.offset_tiles import MAX_DISTANCE
+from ..matching.offset_tiles import MAX_CORRECTED_SIGMA
 from .decision import Check, LoopDecision
 from .look import SEARCH_INTERVAL, Look
 from .loop_hypothesis import LoopHypothesis
@@ -20,20 +22,14 @@ from .submap_search import MIN_SCREENING_FIT, SUBMAP_LENGTH, SubmapMatch, are_di
 MIN_LOOP_FIT = MIN_SCREENING_FIT
 # Least share of the submap in space that the old place has seen. Origin: chosen, not measured.
 MIN_KNOWN = 0.4
-# Metres: largest standard deviation of a match in any direction; along a bare corridor it is larger.
-# Origin: definition, a third of what Gauss-Newton on the distance field corrects, as between linked keyframes.
-MAX_MATCH_SIGMA = MAX_DISTANCE / 3.0
 # Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
 # if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof, 95 %.
-MAX_CLOSED_DISTANCE = 7.81
+MAX_CLOSED_DISTANCE = chi_square_quantile(0.95, 3)
 # Looks that must support a hypothesis. Origin: definition, one proposes it, and another one tests it.
 MIN_SUPPORT = 2
 # Looks that must support a hypothesis that leads to another place, or contradict the estimate before it is in doubt.
 # Origin: definition, so many that the first and the last one have no point in common.
 MIN_INDEPENDENT = math.ceil(SUBMAP_LENGTH / SEARCH_INTERVAL) + 1
-# Standard deviations of the position over which the looks that support a hypothesis must extend. Origin: chosen, 99.7 %
-# of a normal distribution.
-SPAN_DEVIATIONS = 3.0
 # Looks that support a hypothesis for each that contradicts it, and for each that supports a rival.
 # Origin: chosen, doors and people make a true place look wrong now and then; not measured.
 SUPPORT_RATIO = 3.0
@@ -45,8 +41,8 @@ def fits(match: SubmapMatch) -> bool:
 
 
 def is_determined(match: SubmapMatch) -> bool:
-    """Return True if a match determines the position in every direction."""
-    return position_sigma(match.covariance) < MAX_MATCH_SIGMA
+    """Return True if a match determines the position in every direction; along a bare corridor it does not."""
+    return position_sigma(match.covariance) < MAX_CORRECTED_SIGMA
 
 
 def admits_closure(look: Look, old: int, relative: se2.Pose) -> bool:
@@ -75,7 +71,7 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, join
     count, old = len(hypothesis.support), hypothesis.support[-1].old
     elsewhere = joins or look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
     least, shortest = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere else (MIN_SUPPORT, 0.0)
-    span = max(shortest, SPAN_DEVIATIONS * look.uncertainty.deviation(old))
+    span = max(shortest, NORMAL_LIMIT * look.uncertainty.deviation(old))
     checks = [
         Check("support", count, least, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),

@@ -21,7 +21,7 @@ from ..matching.distance_field import FIELD_HALF_WIDTH
 from .decision import LoopMatch
 from .loop_hypothesis import OldPlace
 from .relative_uncertainty import MAX_SQUARED_DISTANCE, SEARCH_DEVIATIONS, UNMODELLED_SIGMAS, RelativeUncertainty
-from .submap_search import SUBMAP_LENGTH, Submap, SubmapMatch, build_submap, improve, search_submap
+from .submap_search import REVISIT_GAP, SUBMAP_LENGTH, Submap, SubmapMatch, build_submap, improve, search_submap
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = SUBMAP_LENGTH / 3.0
@@ -96,7 +96,7 @@ class Look:
         self.pose = poses[self.last]
         self._apart, eligible = apart, np.ones(len(poses), dtype=bool) if among is None else among
         self._seen_before = eligible & (apart | (self._travelled < self.travelled - SUBMAP_LENGTH))
-        old = np.flatnonzero(eligible & (apart | (self._travelled < self.travelled - 2 * SUBMAP_LENGTH)))
+        old = np.flatnonzero(eligible & (apart | (self._travelled < self.travelled - REVISIT_GAP)))
         number = np.floor(self._travelled[old] / SUBMAP_INTERVAL)
         self._old = old[np.flatnonzero(np.diff(number, prepend=-1.0))]  # keyframes in the middle of old submaps
         self._distances = np.hypot(*(poses[self._old, :2] - self.pose[:2]).T)

@@ -67,7 +67,7 @@ class LoopAgreementState:
     returned_at     metres driven up to each look that agrees with the estimate
     contradictions  metres driven up to each look that contradicts the estimate, since the last return
     hypotheses      with at least one look each that supports them
-    candidates      number of closures so far
+    candidates      number of decisions so far that were reported
     retracted       motions of retracted closures, which are not accepted again
     """
 

@@ -12,10 +12,11 @@ from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers, Segments
 from ..mapping.landmarks import Landmarks
+from ..mapping.wall_removal import RIGID_DISTANCE
 
 # Metres of driving since a wall was first seen from which on it is old, and metres from the robot up to which it is
-# considered. Origin: chosen, the length of a room, and the range of lidars in it; not measured.
-OLD_DISTANCE = 15.0
+# considered.
+OLD_DISTANCE = RIGID_DISTANCE
 # Metres of driving without an observation from which on an old wall is not seen any more.
 # Origin: chosen, shortened from 8 m during development on recordings; not measured.
 RECENT_DISTANCE = 6.0

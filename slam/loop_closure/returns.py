@@ -11,11 +11,7 @@ from drivers import se2
 
 from .decision import LoopMatch
 from .look import Look
-from .submap_search import SUBMAP_LENGTH, SubmapMatch
-
-# Metres of driving without such a look after which the next one is another return.
-# Origin: definition, two submaps: those of the two looks do not overlap.
-RETURN_GAP = 2.0 * SUBMAP_LENGTH
+from .submap_search import REVISIT_GAP, SubmapMatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +40,7 @@ def summarise(returns: Sequence[Return]) -> dict[str, float]:
     gaps = np.diff([one.match.travelled for one in returns])
     position = np.array([one.position for one in returns])
     return {
-        "count": 1 + int((gaps > RETURN_GAP).sum()),
+        "count": 1 + int((gaps > REVISIT_GAP).sum()),
         "looks": len(returns),
         "position_rms": round(float(np.sqrt(np.mean(position**2))), 4),
         "position_max": round(float(position.max()), 4),

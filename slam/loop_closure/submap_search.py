@@ -18,22 +18,23 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.compiled import compiled
 
+from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.segments import Floats
 from ..matching.distance_field import DistanceField, facing_grid
 from ..matching.offset_tiles import FIELD_CELL
-from ..matching.point_costs import COARSE_SIGMA, MISFIT, UNSEEN, cost_at
-from ..matching.point_matcher import Prediction, match_from, point_cost
+from ..matching.point_costs import COARSE_SIGMA, MISFIT, SEARCH_TURN_STEP, UNSEEN, cost_at
+from ..matching.point_matcher import MAX_SEARCH_POINTS, Prediction, match_from, point_cost
 from ..matching.scan_points import subsample
 
 # Metres of driving whose keyframes are the submap. Looks farther apart have no point in common.
 # Origin: chosen, about the size of a room; not measured.
 SUBMAP_LENGTH = 6.0
-# Metres and radians between the poses of the coarse grid. Origin: definition, half of what Gauss-Newton corrects at the
-# usual distance of a submap's points.
+# Metres of driving from which on the robot has come back to a place, and has not just stayed there: the recent submap
+# and that of the old place do not overlap then. Origin: definition.
+REVISIT_GAP = 2.0 * SUBMAP_LENGTH
+# Metres between the poses of the coarse grid; the radians are those of the search for a scan.
+# Origin: chosen, Gauss-Newton corrects more than half a step.
 SEARCH_STEP = 0.3
-SEARCH_TURN_STEP = math.radians(3.0)  # Origin: as SEARCH_STEP.
-# Points of the submap that the grid is tried with. Origin: chosen, for speed; not measured.
-MAX_SEARCH_POINTS = 60
 # Poses of the grid that are improved. Origin: chosen, for speed; not measured.
 MAX_REFINED = 8
 # Points of each submap with which it is decided whether a pose is improved with all of them. Origin: measured, on 290
@@ -50,11 +51,11 @@ DISTORTION_SIGMAS = np.array([0.03, 0.03, 0.005])
 DISTINCT_SHIFT = 0.5
 # Radians, likewise; either suffices. Origin: chosen; not measured.
 DISTINCT_TURN = math.radians(10.0)
-# Information of a prediction that says nothing. Origin: definition.
-NO_PRIOR = 1e-6 * np.eye(3)
-# Information that is added to that of a match, so that it has an inverse in directions that no point determines.
+# Information (3, 3) of a prediction that says nothing. Origin: definition.
+NO_PRIOR = MIN_INFORMATION * np.eye(3)
+# Information (3, 3) that is added to that of a match, so that it has an inverse in directions that no point determines.
 # Origin: numerical, standard deviations of 10 m and 10 radians.
-MIN_INFORMATION = 1e-2 * np.eye(3)
+UNDETERMINED = 1e-2 * np.eye(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,7 +177,7 @@ def _judge(submap: Submap, old: Submap, pose: se2.Pose, information: Floats) -> 
     """Compare a submap and an old one in both directions at a pose."""
     _, fit, known = point_cost(old.field, submap.points, pose)
     _, reverse, _ = point_cost(submap.field, old.points, se2.inverse(pose))
-    of_points = np.asarray(np.linalg.inv(information + MIN_INFORMATION), dtype=np.float64)
+    of_points = np.asarray(np.linalg.inv(information + UNDETERMINED), dtype=np.float64)
     covariance = of_points + np.diag(DISTORTION_SIGMAS**2)
     return SubmapMatch(pose, covariance, min(fit, reverse), known / max(1, len(submap.points)))
 

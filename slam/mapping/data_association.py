@@ -39,7 +39,8 @@ MAX_OVERLAP_IN_SCAN = WALL_CELL
 AMBIGUOUS_OFFSET = 0.12
 # Radians, likewise. Origin: chosen; not measured.
 AMBIGUOUS_HEADING = math.radians(6.0)
-# Radians between the walls at an observed corner and those of its landmark. Origin: chosen; not measured.
+# Radians between the walls at an observed corner and those of its landmark. Origin: chosen, twice the widest heading
+# gate of segments; not measured.
 MAX_CORNER_HEADING_DIFFERENCE = math.radians(20.0)
 # Metres: a corner this close to a known one, but outside the gate, is ambiguous. Origin: chosen; not measured.
 AMBIGUOUS_CORNER = 0.15

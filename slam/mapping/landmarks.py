@@ -95,7 +95,12 @@ class Landmarks:
         )
 
     def add_corner(self, position: Floats, headings: Floats, walls: Floats, keyframe: int) -> int:
-        """Add a corner first observed by a keyframe and return its id."""
+        """Add a corner first observed by a keyframe and return its id.
+
+        position  (2,) in the map
+        headings  (2,) in the map, of the walls before and after it, counter-clockwise as seen
+        walls     ids of these walls, -1 if unknown
+        """
         return self.corners.append(
             position=position, headings=headings, walls=walls, observations=1, last_seen=keyframe
         )

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers
 from ..geometry.small_matrices import is_positive_definite, quadratic_form, without_negative_part
@@ -22,9 +23,9 @@ MAX_OFFSET = 0.30
 MAX_HEADING_DIFFERENCE = math.radians(8.0)
 # Square metres and square radians: variances of the offset and heading of a landmark relative to the robot up to which
 # features are compared with it. Beyond, the right landmark may lie outside these limits, and one within them may be
-# another. Origin: definition, three standard deviations are the limits.
-MAX_PREDICTED_VARIANCE = (MAX_OFFSET / 3.0) ** 2
-MAX_PREDICTED_TURN_VARIANCE = (MAX_HEADING_DIFFERENCE / 3.0) ** 2  # Origin: as MAX_PREDICTED_VARIANCE.
+# another. Origin: definition.
+MAX_PREDICTED_VARIANCE = (MAX_OFFSET / NORMAL_LIMIT) ** 2
+MAX_PREDICTED_TURN_VARIANCE = (MAX_HEADING_DIFFERENCE / NORMAL_LIMIT) ** 2  # Origin: as MAX_PREDICTED_VARIANCE.
 # Metres by which the local map reaches beyond what the last keyframe observed; the next scans are matched to it.
 # Origin: chosen, several times the distance between keyframes; not measured.
 LOCAL_MAP_MARGIN = 2.0

@@ -49,7 +49,12 @@ class MappedKeyframes:
         landmark_ids: LandmarkIds,
         correlated_drift: Floats,
     ) -> None:
-        """Append a keyframe, with the motion to it from an earlier one, except for its covariance."""
+        """Append a keyframe, except for the covariance of its pose.
+
+        pose              [x, y, heading] in the map
+        motion            to it from an earlier one; None for the first
+        correlated_drift  (2, 2) covariance of the position by errors that neighbouring motions share
+        """
         if motion is not None:
             self.travelled.append(self.travelled[-1] + float(np.hypot(motion.motion[0], motion.motion[1])))
         self._poses.append(pose)

@@ -10,14 +10,15 @@ from drivers.messages import Odometry
 
 from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
+from ..odometry.velocity import MAX_VELOCITIES
 from .trajectory_builder import TrajectoryBuilder
 
 # A reading continues a segment if the robot can have driven there since the last reading: a program was stopped and
 # started again, while the base went on counting.
 # Seconds since the last reading. Origin: chosen, time to restart a program; not measured.
 MAX_BREAK = 60.0
-# Metres per second. Origin: chosen, faster than indoor robots usually drive; not measured.
-MAX_SPEED = 1.0
+# Metres per second. Origin: definition, no indoor robot is faster.
+MAX_SPEED = float(MAX_VELOCITIES[0])
 # Metres by which the position may differ besides. Origin: chosen, more than the noise of a reading; not measured.
 POSITION_TOLERANCE = 0.2
 

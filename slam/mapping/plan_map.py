@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers, Segments
 from .landmarks import Landmarks
@@ -22,16 +23,14 @@ from .map_features import MapWalls
 from .plan import Plan
 from .plan_views import RaysFromPlace, cast_views
 from .ray_casting import pieces_near_line
-from .wall_cells import cells_between
+from .wall_cells import WALL_CELL, cells_between
 
-# Standard deviations of a plan's precision within which pieces are on one line. Origin: chosen, 99.7 %.
-SAME_LINE_DEVIATIONS = 3.0
 # Metres between two pieces of one wall: a double door. Origin: chosen; not measured.
 MAX_PIECE_GAP = 2.0
 # Metres of a piece that has a direction of its own. Origin: chosen, two cells of coverage; not measured.
-MIN_PIECE = 0.2
+MIN_PIECE = 2.0 * WALL_CELL
 # Metres of a face that a view must show. Origin: chosen, three cells of coverage; not measured.
-MIN_VISIBLE = 0.3
+MIN_VISIBLE = 3.0 * WALL_CELL
 # Rays that must meet a face to show it: fewer may pass through a gap of the drawing by chance. Origin: definition, a
 # line.
 MIN_RAYS = 3
@@ -123,7 +122,7 @@ def _merge_pieces(plan: Plan) -> tuple[Floats, Integers, Floats]:
     side = np.repeat([0, 1], [len(plan.segments), len(pieces) - len(plan.segments)])
     along = pieces[:, 1] - pieces[:, 0]
     length, heading = np.hypot(along[:, 0], along[:, 1]), np.arctan2(along[:, 1], along[:, 0])
-    tolerance = SAME_LINE_DEVIATIONS * plan.precision
+    tolerance = NORMAL_LIMIT * plan.precision
     members, frames, spans = np.full((len(plan.segments), 2), -1), list[Floats](), list[Floats]()
     left = length >= MIN_PIECE
     for longest in np.argsort(-length, kind="stable").tolist():

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from features.normal_limits import NORMAL_LIMIT
+
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
 from .plan import Plan
@@ -23,9 +25,6 @@ SAME_PLACE = 0.5 * VIEWPOINT_SPACING
 RAYS = 360
 # Metres that a ray reaches. Origin: chosen, farther walls are seen from nearer places.
 RAY_REACH = 20.0
-# Standard deviations of a plan's precision by which one side of a wall may seem to be behind the other.
-# Origin: chosen, 99.7 %.
-SAME_WALL_DEVIATIONS = 3.0
 # Share of the rays from a place that must meet a visible side: otherwise it is outside of the building.
 # Origin: definition, most of them.
 MIN_MEETING = 0.5
@@ -65,7 +64,7 @@ def cast_views(plan: Plan) -> list[RaysFromPlace]:
     places = find_viewpoints(plan) if plan.viewpoints is None else _thinned(plan.viewpoints)
     index, bearing = SegmentIndex.of(plan.segments), 2.0 * math.pi * (np.arange(RAYS) + 0.5) / RAYS
     directions = np.column_stack([np.cos(bearing), np.sin(bearing)])
-    thickness, least = SAME_WALL_DEVIATIONS * plan.precision, math.ceil(MIN_MEETING * RAYS)
+    thickness, least = NORMAL_LIMIT * plan.precision, math.ceil(MIN_MEETING * RAYS)
     casts: list[RaysFromPlace] = []
     for first in range(0, len(places), CHUNK):
         some = places[first : first + CHUNK]

@@ -19,7 +19,7 @@ from .data_association import ASSOCIATION_GATE
 from .local_map import MAX_HEADING_DIFFERENCE, MAX_OFFSET, MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE
 from .map_features import MapWalls
 
-# Metres that two walls must have in common. Origin: chosen, as for the comparison of maps; not measured.
+# Metres that two walls must have in common to be compared, or to be the same. Origin: chosen; not measured.
 MIN_COMMON_LENGTH = 0.5
 # Share of the covariance of a plan's wall below which the difference from it is certain to be small.
 # Origin: numerical.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers
 from ..geometry.small_matrices import quadratic_form
@@ -24,11 +25,9 @@ from .near_landmarks import is_beyond_reach
 from .wall_cells import ON_WALL_DISTANCE, WALL_CELL
 
 # Metres from a wall's line, on either side, that both ends of a sight line must be away for the wall to be seen
-# through: anything nearer may be the wall itself, or something on it. Origin: chosen; not measured.
-MIN_DEPTH = 0.3
-# Standard deviations of the distance from the wall by which both ends must be farther away still.
-# Origin: chosen, 3 sigma; not measured.
-MIN_DEPTH_SIGMAS = 3.0
+# through: anything nearer may be the wall itself, or something on it. Origin: chosen, twice the distance of points on
+# the wall; not measured.
+MIN_DEPTH = 2.0 * ON_WALL_DISTANCE
 # Least sine of the angle between a sight line and a wall that it crosses: about 45 degrees. Glass reflects a beam only
 # at steep angles, so others would see through it. Origin: chosen; not measured.
 MIN_CROSSING_SINE = 0.7
@@ -163,7 +162,7 @@ def cells_seen_through(
 ) -> dict[int, list[int]]:
     """Return for each row of `view` the covered cells that are seen through with certainty.
 
-    They are at least END_MARGIN_CELLS from an end, and the depth exceeds MIN_DEPTH plus MIN_DEPTH_SIGMAS standard
+    They are at least END_MARGIN_CELLS from an end, and the depth exceeds MIN_DEPTH plus NORMAL_LIMIT standard
     deviations. The variance is that of the wall at its last observation, plus the growth of the pose covariance since
     then; see `local_map_around`.
     """
@@ -199,5 +198,5 @@ def _deep_enough(depth, first, frame, covariance, pose, drift):  # type: ignore[
             lever = c * (frame[0] - pose[0]) + s * (frame[1] - pose[1]) + along
             variance = covariance[0, 0] + 2 * along * covariance[0, 1] + along * along * covariance[1, 1]
             variance += max(0.0, quadratic_form(drift, -s, c, lever))
-            deep[cell] = depth[cell] > MIN_DEPTH + MIN_DEPTH_SIGMAS * math.sqrt(variance)
+            deep[cell] = depth[cell] > MIN_DEPTH + NORMAL_LIMIT * math.sqrt(variance)
     return deep

@@ -14,7 +14,8 @@ from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
 from ..odometry.history import BLOCK, OdometryHistory
 
-# Seconds below which two stamps are one: trajectories are written with microseconds. Origin: definition.
+# Seconds below which two stamps are one, and by which scans are at least apart: files state microseconds.
+# Origin: definition.
 SAME_STAMP = 1e-6
 
 
@@ -82,7 +83,7 @@ class TrajectoryBuilder:
 
         Each reading is reached by odometry from the scan before it. The error of odometry up to the next scan is
         distributed in proportion to the wheel travel between the two scans: wheels err while they roll, not while they
-        stand. If they stand all the time, it is distributed evenly: the robot is carried, or odometry fails.
+        stand. If they stand all the time, it is distributed evenly: the robot is carried, or odometry is failing.
         """
         stamps, poses = self.at_scans(keyframe_poses)
         if not len(stamps):

@@ -19,7 +19,7 @@ from .landmark_table import NEVER_REMOVED
 
 # Metres of wall per cell of coverage. Origin: chosen, finer than a door or a pillar; not measured.
 WALL_CELL = 0.1
-# Metres across a wall within which a point lies on it. Origin: chosen, half of MIN_DEPTH of sight lines; not measured.
+# Metres across a wall within which a point lies on it. Origin: chosen; not measured.
 ON_WALL_DISTANCE = 0.15
 # Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
 # Origin: chosen, less than the width of a door; not measured.

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from drivers.compiled import compiled
 
 from ..geometry.angles import axes_of, wrap_angle
+from ..geometry.chi_square import chi_square_quantile
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import FactorGraph
@@ -27,7 +28,7 @@ from .wall_cells import WALL_CELL
 
 # Squared Mahalanobis distance between two walls that may be one. Stricter than the association gate, as a merge is
 # final. Origin: chi-square, 2 dof, 95 %.
-MERGE_GATE = 5.99
+MERGE_GATE = chi_square_quantile(0.95, 2)
 # Metres between two walls that may be one, in the middle of their overlap, however large their covariances.
 # Origin: chosen, less than the thickness of walls and furniture; not measured.
 MAX_MERGE_OFFSET = 0.10

@@ -35,8 +35,8 @@ MIN_OPENING = MIN_GAP_BETWEEN_PIECES
 # A wall is removed entirely if less remains of it than REMAINDER_SHARE of its length, but at least MIN_REMAINDER and at
 # most MAX_REMAINDER metres. Origin: chosen; not measured.
 MIN_REMAINDER, REMAINDER_SHARE, MAX_REMAINDER = 0.3, 1 / 3, 1.0
-# Metres of driving within which the map does not bend.
-# Origin: chosen, as OLD_DISTANCE of loop closure; not measured.
+# Metres of driving within which the map does not bend. Origin: chosen, the length of a room, and the range of lidars in
+# it; not measured.
 RIGID_DISTANCE = 15.0
 # A robot that has drifted, or is elsewhere, sees through many walls. So a scan must also see other walls, first
 # observed no later than the wall in question was last observed (see `_supported`).

@@ -215,7 +215,12 @@ def facing_grid(normal_x, normal_y):  # type: ignore[no-untyped-def]
 
 @inlined
 def nearest_distance(field, grid, x, y):  # type: ignore[no-untyped-def]
-    """Return the distance (metres) from the cell of (x, y), in cells, to the nearest point; at most MAX_DISTANCE."""
+    """Return the distance (metres) from the cell of (x, y) to the nearest point of a grid; at most MAX_DISTANCE.
+
+    field  see `DistanceField.arrays`
+    grid   number of the direction that surfaces face, or ALL_POINTS
+    x, y   in cells, from the corner of the field
+    """
     _, tile_of, tiles, seen = field
     row, column, cells = math.floor(x), math.floor(y), SEEN_CELLS * len(seen)
     if row < 0 or column < 0 or row >= cells or column >= cells:

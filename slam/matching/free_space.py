@@ -57,7 +57,7 @@ class WaitingPoints:
 
 @inlined
 def mark_seen(seen, x, y, end_x, end_y):  # type: ignore[no-untyped-def]
-    """Mark the cells on the line from (x, y) to the end, both in cells of SEEN_CELL."""
+    """Mark the cells on the line from (x, y) to (end_x, end_y), all in cells of SEEN_CELL, as seen."""
     cells = len(seen)
     steps = int(1.5 * max(abs(end_x - x), abs(end_y - y))) + 1
     step_x, step_y = (end_x - x) / steps, (end_y - y) / steps

@@ -9,14 +9,12 @@ from drivers.compiled import inlined
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
+from ..mapping.data_association import MAX_CORNER_HEADING_DIFFERENCE
 
-# Radians between the walls of an observed corner and those of a map corner.
-# Origin: chosen, twice the widest heading gate of segments; not measured.
-CORNER_HEADING_GATE = math.radians(20.0)
 # Metres beyond the known end of a wall in which a segment still overlaps with it.
 # Origin: chosen, walls continue beyond what was seen of them; not measured.
 MATCH_END_MARGIN = 0.5
-# Scale of the Cauchy kernel, standard deviations: an observation this far off has half weight.
+# Scale of the Cauchy kernel, standard deviations: an observation or prediction this far off has half weight.
 # Origin: chosen, the usual range of robust kernels; not measured.
 MATCH_CAUCHY_SCALE = 3.0
 
@@ -52,6 +50,11 @@ def add_walls(  # type: ignore[no-untyped-def]
     pose, segments, walls, roughness, offset_gate, heading_gate, overlaps, information, gradient
 ):
     """Pair each segment with the nearest wall inside the gates and add its normal equations.
+
+    pose                       (3,) of the base in the map
+    roughness                  variance of the wall roughness, square metres
+    offset_gate, heading_gate  metres across and radians between a segment and its wall
+    information, gradient      (3, 3) and (3,) of the base's pose, in its own axes: the equations are added to them
 
     Sets `overlaps`, the length in metres of each segment that lies on its wall, zero if there is none; weighted down by
     up to half of it near the gates' limits.
@@ -132,7 +135,10 @@ def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # ty
 def add_corners(  # type: ignore[no-untyped-def]
     pose, observed, corners, roughness, gate, information, gradient
 ):
-    """Pair each corner with the nearest map corner inside the gate and add its normal equations."""
+    """Pair each observed corner with the nearest map corner inside the gate and add its normal equations.
+
+    gate  metres between two corners; for the other arguments see `add_walls`
+    """
     points, headings = observed.position, observed.headings
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for i in range(len(points)):
@@ -143,8 +149,8 @@ def add_corners(  # type: ignore[no-untyped-def]
             distance = dx * dx + dy * dy
             if (
                 distance < best
-                and abs(wrap_angle(pose[2] + headings[i, 0] - corners.headings[j, 0])) < CORNER_HEADING_GATE
-                and abs(wrap_angle(pose[2] + headings[i, 1] - corners.headings[j, 1])) < CORNER_HEADING_GATE
+                and abs(wrap_angle(pose[2] + headings[i, 0] - corners.headings[j, 0])) < MAX_CORNER_HEADING_DIFFERENCE
+                and abs(wrap_angle(pose[2] + headings[i, 1] - corners.headings[j, 1])) < MAX_CORNER_HEADING_DIFFERENCE
             ):
                 best, match = distance, j
         if match < 0:

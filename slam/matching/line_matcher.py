@@ -22,7 +22,7 @@ from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
-from .offset_tiles import MAX_DISTANCE
+from .offset_tiles import MAX_DISTANCE, MAX_TURN
 from .scan_features import ScanFeatures
 from .scan_points import FINE_SIGMA, segments_of
 
@@ -32,8 +32,8 @@ MATCH_OFFSET_GATES = np.array([0.40, 0.40, 0.30, 0.20, 0.15, 0.10, 0.10, 0.10])
 # Radians between a wall and a segment, for each Gauss-Newton step. Origin: tuned on Intel, fr079, CSAIL.
 MATCH_HEADING_GATES = np.radians([10.0, 10.0, 9.0, 7.0, 6.0, 5.0, 5.0, 5.0])
 # Information (3, 3) that keeps the pose by points alone near the joint one, where the points' distances are linear in
-# the pose. Points that determine a direction have far more. Origin: definition, MAX_DISTANCE, and that at 4 m.
-LINEAR_RANGE_INFORMATION = np.diag(np.array([MAX_DISTANCE, MAX_DISTANCE, MAX_DISTANCE / 4.0]) ** -2.0)
+# the pose. Points that determine a direction have far more. Origin: definition.
+LINEAR_RANGE_INFORMATION = np.diag(np.array([MAX_DISTANCE, MAX_DISTANCE, MAX_TURN]) ** -2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

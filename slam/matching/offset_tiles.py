@@ -13,12 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import inlined
+from features.normal_limits import NORMAL_LIMIT
 
 # Metres, side of a cell. Origin: chosen, the noise of usual lidars; distances are interpolated between cells.
 FIELD_CELL = 0.05
 # Metres: larger distances are not stored. It is also how far a pose may be off for Gauss-Newton to correct it.
 # Origin: chosen, about the width of a corridor's furniture; not measured.
 MAX_DISTANCE = 0.5
+# Radians that a pose may be turned for Gauss-Newton to correct it. Origin: definition, MAX_DISTANCE at 4 m.
+MAX_TURN = MAX_DISTANCE / 4.0
+# Metres and radians, standard deviations up to which a pose is that near. Origin: definition.
+MAX_CORRECTED_SIGMA, MAX_CORRECTED_TURN_SIGMA = MAX_DISTANCE / NORMAL_LIMIT, MAX_TURN / NORMAL_LIMIT
 # Cells on each side of a point's cell to which it is the nearest one at most. Origin: definition.
 SPAN = round(MAX_DISTANCE / FIELD_CELL)
 # Metres, unit of stored offsets. Origin: numerical, 16 bits hold more than MAX_DISTANCE with it.
@@ -95,7 +100,10 @@ def _empty_tiles(count: int) -> NDArray[np.int32]:
 
 @inlined
 def offset_at(tile_of, tiles, grid, row, column):  # type: ignore[no-untyped-def]
-    """Return the stored offset of a cell. Unsigned indices take half the time: nothing tests if they are negative."""
+    """Return the stored offset of a cell, at a row and a column of a grid; for the arrays see `OffsetTiles`.
+
+    Unsigned indices take half the time: nothing tests if they are negative.
+    """
     tile = tile_of[np.uintp(grid), np.uintp(row >> TILE_BITS), np.uintp(column >> TILE_BITS)]
     return tiles[np.uintp(tile), np.uintp(row & (TILE - 1)), np.uintp(column & (TILE - 1))]
 

@@ -12,6 +12,7 @@ import numpy as np
 from drivers.compiled import compiled, inlined
 
 from ..geometry.small_matrices import quadratic_form
+from ..mapping.sight_lines import MIN_DEPTH
 from .distance_field import ALL_POINTS, facing_grid, nearest_distance
 from .free_space import is_seen
 from .offset_tiles import FIELD_CELL, MAX_DISTANCE, MAX_SQUARED, OFFSET_UNIT, offset_at, squared_length
@@ -24,9 +25,6 @@ COST_OF_SQUARE = 0.5 * (OFFSET_UNIT / COARSE_SIGMA) ** 2
 MISFIT = 4.0
 # Cost of a point in a cell that was not seen. Origin: definition, the mean of fitting and not fitting.
 UNSEEN = 0.5 * MISFIT
-# Metres before its point, and after its start, in which a beam may touch surfaces. Origin: chosen, as in
-# `slam.mapping.sight_lines`.
-DEPTH = 0.3
 # Metres from a known point within which a beam passes through its surface. Origin: definition, the field's resolution.
 ON_SURFACE = 0.5 * math.sqrt(2.0) * FIELD_CELL
 # Metres and radians between searched poses. Origin: chosen, Gauss-Newton reaches more than half a step.
@@ -65,12 +63,12 @@ def crossing_beams(field, points, pose):  # type: ignore[no-untyped-def]
     count = 0
     for k in range(len(points)):
         length = math.hypot(points[k, 0], points[k, 1])
-        if length <= DEPTH:
+        if length <= MIN_DEPTH:
             continue
         step_x = (c * points[k, 0] - s * points[k, 1]) / (length * FIELD_CELL)
         step_y = (s * points[k, 0] + c * points[k, 1]) / (length * FIELD_CELL)
-        at = DEPTH
-        while at < length - DEPTH:
+        at = MIN_DEPTH
+        while at < length - MIN_DEPTH:
             distance = nearest_distance(field, ALL_POINTS, start_x + at * step_x, start_y + at * step_y)
             if distance < ON_SURFACE:
                 count += 1
@@ -108,7 +106,13 @@ def cost_at(field, grid, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
-    """Return the pose with the lowest cost on a grid around the prediction; each point's cost counts `share` times."""
+    """Return the pose with the lowest cost on a grid around the prediction.
+
+    points             (p, 5) with normals, in the base's frame
+    share              times that the cost of each point counts
+    prediction, prior  pose (3,) in the map and its information (3, 3), with a Cauchy kernel of the scale `kernel`
+    shift, turn        metres and radians from the prediction up to which poses are tried
+    """
     best, turned, facing = prediction.copy(), np.empty((len(points), 2)), np.empty(len(points), np.int64)
     lowest = share * points_cost(field, points, best)[0]
     _search(field, points, share, prediction, prior, kernel, shift, turn, best, lowest, turned, facing)

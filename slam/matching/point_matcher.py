@@ -23,8 +23,10 @@ import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.angles import wrap_angle
+from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import (
@@ -37,6 +39,7 @@ from ..geometry.small_matrices import (
 )
 from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information
+from .landmark_equations import MATCH_CAUCHY_SCALE
 from .offset_tiles import FIELD_CELL
 from .point_costs import COARSE_SIGMA, crossing_beams, points_cost, search_grid
 from .scan_points import FINE_SIGMA, subsample
@@ -48,15 +51,10 @@ POINT_SPACING = FIELD_CELL
 INDEPENDENT_SHARE = 0.3
 # Points of one object, which fit or do not fit together. Origin: chosen, a person at a metre or two; not measured.
 POINTS_PER_OBJECT = 5.0
-# Scale of the Cauchy kernel of predictions, standard deviations. Origin: chosen, the usual range of robust kernels; not
-# measured.
-KERNEL = 3.0
 # Gauss-Newton steps with each kernel. Origin: chosen, more than are needed; it ends earlier if the steps are small.
 MAX_STEPS = 20
 # Metres and radians below which a step is the last one. Origin: numerical, far below the accuracy.
 LAST_STEP = 1e-4
-# Information that is added to that of a match, per square metre and square radian. Origin: numerical, conditioning.
-CONDITIONING = 1e-6
 # Fit below which a match is not accepted. Origin: chosen, half of the points in seen space fit; not measured.
 MIN_FIT = 0.5
 # Fit below which poses around the prediction are searched. Origin: measured, nine of ten scans of recordings fit
@@ -64,14 +62,13 @@ MIN_FIT = 0.5
 SEARCH_FIT = 0.85
 # Points in seen space that are needed to judge a fit. Origin: chosen; not measured.
 MIN_KNOWN_POINTS = 20
-# Standard deviations of a prediction that are searched. Origin: chosen, 99.7 % of a normal distribution.
-SEARCH_DEVIATIONS = 3.0
 # Metres and radians: largest distance of a searched pose from the prediction. Origin: chosen, for speed: a sparse log
 # has a scan a metre and turns 40 degrees between two scans.
 MAX_SEARCH_SHIFT = 1.5
 MAX_SEARCH_TURN = math.radians(60.0)  # Origin: as MAX_SEARCH_SHIFT.
-# Predictions from which on the poses around each are searched, as there is more doubt than usual. Origin: definition,
-# those of odometry, of a slip, and of odometry that has caught up; more if a pose is tentative.
+# Largest number of predictions for which a good match near the first one suffices. If there are more, there is more
+# doubt than usual, and the poses around each are searched. Origin: definition, those of odometry, of a slip, and of
+# odometry that has caught up; there are more if a pose is tentative.
 MAX_UNSEARCHED = 3
 # Points of a scan that are searched with. Origin: chosen, for speed; not measured.
 MAX_SEARCH_POINTS = 60
@@ -79,14 +76,14 @@ MAX_SEARCH_POINTS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Prediction of a pose, with a Cauchy kernel of the scale KERNEL.
+    """Prediction of a pose, with a Cauchy kernel of the scale MATCH_CAUCHY_SCALE.
 
     pose         [x, y, heading] of the base in the map
     information  (3, 3), in its own frame
     cost         minus the logarithm of the probability that the prediction holds at all
     inertia      prediction of an even motion, whose distance is a further cost of a pose, as a robot changes its
                  velocity gradually; None if the velocity is not known
-    search_sigmas  (2,) metres and radians: SEARCH_DEVIATIONS times these are searched around the pose; None for the
+    search_sigmas  (2,) metres and radians: NORMAL_LIMIT times these are searched around the pose; None for the
                  standard deviations of the prediction itself
     """
 
@@ -108,11 +105,15 @@ class Prediction:
 
     def _robust(self, pose: se2.Pose) -> float:
         """Return the cost of a pose in excess of `least_cost`, without that of `inertia`."""
-        return 0.5 * KERNEL**2 * math.log1p(self.squared_distance(pose) / KERNEL**2)
+        return 0.5 * MATCH_CAUCHY_SCALE**2 * math.log1p(self.squared_distance(pose) / MATCH_CAUCHY_SCALE**2)
 
     def squared_distance(self, pose: se2.Pose) -> float:
         """Return the squared Mahalanobis distance of a pose."""
         return float(_squared_distance(self.pose, self.information, pose))
+
+    def excludes(self, pose: se2.Pose) -> bool:
+        """Return True if a pose is more than NORMAL_LIMIT standard deviations away."""
+        return self.squared_distance(pose) > NORMAL_LIMIT**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,11 +190,11 @@ def _search_around(field: DistanceField, points: Floats, share: float, predictio
         sigma, turn_sigma = math.sqrt(covariance[:2, :2].diagonal().max()), math.sqrt(covariance[2, 2])
     else:
         sigma, turn_sigma = prediction.search_sigmas.tolist()
-    shift, turn = min(MAX_SEARCH_SHIFT, SEARCH_DEVIATIONS * sigma), min(MAX_SEARCH_TURN, SEARCH_DEVIATIONS * turn_sigma)
+    shift, turn = min(MAX_SEARCH_SHIFT, NORMAL_LIMIT * sigma), min(MAX_SEARCH_TURN, NORMAL_LIMIT * turn_sigma)
     return np.asarray(
         search_grid(
             field.arrays, points, share,
-            prediction.pose, prediction.information, KERNEL, shift, turn,
+            prediction.pose, prediction.information, MATCH_CAUCHY_SCALE, shift, turn,
         )
     )  # fmt: skip
 
@@ -270,12 +271,12 @@ def _match_from(field, points, start, prediction, prior, sigmas):  # type: ignor
         for _ in range(MAX_STEPS):
             found = add_points(pose, points, field, sigma, information, gradient, memory)
             error = difference(prediction, pose)
-            scale = 1.0 + quadratic_form(prior, error[0], error[1], error[2]) / KERNEL**2
+            scale = 1.0 + quadratic_form(prior, error[0], error[1], error[2]) / MATCH_CAUCHY_SCALE**2
             for k in range(3):
                 for m in range(3):
                     robust[k, m] = prior[k, m] / scale
                     total[k, m] = information[k, m] + robust[k, m]
-                total[k, k] += CONDITIONING
+                total[k, k] += MIN_INFORMATION
             x, y, turn = product(robust, error)
             move = solution(total, (gradient[0] + x, gradient[1] + y, gradient[2] + turn))
             move_back(pose, move)

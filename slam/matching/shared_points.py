@@ -17,9 +17,10 @@ from drivers import se2
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats
+from ..mapping.sight_lines import MIN_DEPTH
 from .distance_field import MIN_FACING
 from .offset_tiles import MAX_DISTANCE
-from .point_costs import COARSE_SIGMA, DEPTH
+from .point_costs import COARSE_SIGMA
 from .point_matcher import POINT_SPACING, point_information
 
 # Share of its trace that is added to an information matrix, as differences are rounded. Origin: numerical.
@@ -101,7 +102,7 @@ def _passes(point, length, x, y):  # type: ignore[no-untyped-def]
     along = x * point[0] + y * point[1]
     if abs(across) >= 0.5 * POINT_SPACING * length:
         return False
-    return DEPTH * length < along < (length - DEPTH) * length
+    return MIN_DEPTH * length < along < (length - MIN_DEPTH) * length
 
 
 @inlined

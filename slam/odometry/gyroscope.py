@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry, YawRate
+from features.normal_limits import NORMAL_LIMIT
 
 from .arc import with_turn
 
@@ -23,9 +24,6 @@ SCALE_SIGMA = 0.01
 # Seconds over which turns are compared: the longer, the less the headings at both ends matter. Origin: chosen; not
 # measured.
 COMPARISON_INTERVAL = 2.0
-# Standard deviations beyond which a comparison is not used: a scan was placed wrongly, or the map was turned.
-# Origin: chi-square, 1 dof, 99.7 %.
-GATE = 3.0
 # Seconds without a rate after which the gyroscope is silent, and the wheels count. Origin: chosen, several periods of
 # the slowest gyroscopes; not measured.
 MAX_SILENCE = 0.2
@@ -87,7 +85,7 @@ class Gyroscope:
         if turn is None or self._since is None:
             self._since, self._registered = stamp, 0.0
             return
-        if turned**2 > GATE**2 * 2.0 * variance:
+        if turned**2 > NORMAL_LIMIT**2 * 2.0 * variance:
             self._since = None
             return
         self._registered += turn + turned
@@ -105,7 +103,7 @@ class Gyroscope:
         predicted = min(self._variance + BIAS_WALK**2 * interval, INITIAL_BIAS_SIGMA**2)
         error = (measured - self._registered) / interval
         self._variance = predicted
-        if error**2 <= GATE**2 * (predicted + noise):
+        if error**2 <= NORMAL_LIMIT**2 * (predicted + noise):  # else a scan was placed wrongly, or the map was turned
             gain = predicted / (predicted + noise)
             self.bias += gain * error
             self._variance = (1.0 - gain) * predicted

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from drivers.compiled import compiled
+from features.normal_limits import GROSS_LIMIT
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
@@ -20,9 +21,6 @@ MIN_VARIANCE_RATE = 1e-8
 # Radians: drift of the heading by turning one radian, before any driving. Origin: measured, 0.02 to 0.12 on recordings
 # of nine robots.
 TURN_WALK = 0.04
-# Standard deviations beyond which an error is gross: a normal error exceeds it once in two million motions.
-# Origin: convention, five sigma.
-GROSS_ERROR = 5.0
 
 
 def estimate_rates(
@@ -85,7 +83,7 @@ def _without_gross_errors(values):  # type: ignore[no-untyped-def]
     """Return the columns of `values` (2, n), squared errors and their known noise, without the gross errors."""
     if not values.shape[1]:
         return values
-    return values[:, NORMAL_MEDIAN * values[0] <= GROSS_ERROR**2 * median(values[0])]
+    return values[:, NORMAL_MEDIAN * values[0] <= GROSS_LIMIT**2 * median(values[0])]
 
 
 @compiled

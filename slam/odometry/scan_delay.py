@@ -20,6 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
+from drivers.timing.robust_weights import ROBUST_SIGMAS
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats
 from .error_model import OdometryModel
@@ -30,14 +32,9 @@ from .history import OdometryHistory
 STEP = 0.05
 # Gauss-Newton steps; the second one changes a delay of 0.1 s by a hundredth. Origin: numerical.
 ITERATIONS = 4
-# Medians of the errors at which the weight of a motion is a half. Origin: chosen, usual for robust weights.
-ROBUST_MEDIANS = 3.0
 # Seconds; standard deviation of the delay before the drive. Origin: chosen, one period of slow lidars; longer delays
 # are found before the run.
 PRIOR_SIGMA = 0.1
-
-# Standard deviations from which on a delay is significant. Origin: definition, 99.7 % of a normal distribution.
-SIGNIFICANT_SIGMAS = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +47,7 @@ class ScanDelay:
     @property
     def significant(self) -> bool:
         """True if clocks that agree would show such a delay in 0.3 % of drives."""
-        return abs(self.seconds) > SIGNIFICANT_SIGMAS * self.sigma
+        return abs(self.seconds) > NORMAL_LIMIT * self.sigma
 
     def row(self) -> dict[str, object]:
         """Return the delay as plain data."""
@@ -76,7 +73,7 @@ def estimate_scan_delay(stamps: Floats, poses: Floats, history: OdometryHistory,
         error = se2.between(at, registered)
         weights = np.linalg.inv(np.array([model.covariance(motion) for motion in at]))
         squared = np.einsum("ki,kij,kj->k", error, weights, error)
-        relative = squared / (ROBUST_MEDIANS**2 * np.median(squared) + np.finfo(float).tiny)
+        relative = squared / (ROBUST_SIGMAS**2 * np.median(squared) + np.finfo(float).tiny)
         robust, weighted = 1.0 / (1.0 + relative), np.einsum("ki,kij->kj", instrument, weights)
         information = np.einsum("ki,ki->k", weighted, slope)
         if not robust @ information > 0.0:

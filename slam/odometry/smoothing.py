@@ -20,6 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.compiled import compiled
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
@@ -31,9 +32,6 @@ ACCELERATION_DENSITY = 0.1
 # Metres, metres, radians: jitter of a reading whose stamp is exact: 0.2 mm at either wheel. Origin: measured on a
 # standing robot; the data are not recorded.
 JITTER = np.array([2e-4, 2e-4, 8e-4])
-# Standard deviations of a reading by which the smoothed motion may differ from it.
-# Origin: chosen, 99.7 % of a normal distribution.
-MAX_DEVIATION = 3.0
 # Seconds before the sweep from which readings are used, with those up to the first one after it: a live run knows no
 # others. Origin: numerical, with errors of 50 ms at 50 Hz, readings that are 80 ms away have 1/e of the weight.
 REACH = 0.5
@@ -61,7 +59,7 @@ def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> tuple[Floats, f
     error = stamp_error * wheel_travel(steps).sum() / duration
     ratio = (error**2 + JITTER[0] ** 2) / ACCELERATION_DENSITY
     smoothed = compose_each(origin[None], _smoothed(times - stamps[0], moves, ratio, stamps - stamps[0]))
-    limit = JITTER + MAX_DEVIATION * stamp_error * np.abs(steps).sum(axis=0) / duration
+    limit = JITTER + NORMAL_LIMIT * stamp_error * np.abs(steps).sum(axis=0) / duration
     limited = np.clip(between_each(interpolated, smoothed), -limit, limit)
     speed_error = stamp_error * _gain_of_speed(times, ratio, float(stamps[0]))
     return np.asarray(compose_each(interpolated, limited)), speed_error

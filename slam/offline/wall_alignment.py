@@ -15,12 +15,11 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.map_features import MapWalls
+from ..mapping.plan_walls import MIN_COMMON_LENGTH
 
 GATES = ((0.5, 10.0), (0.3, 6.0), (0.2, 4.0), (0.2, 4.0))
 """Metres across and degrees between two walls that can be the same, for one iteration of the alignment after the other.
 The last one is far above any stated standard deviation, so that it hardly selects good pairs."""
-MIN_SHARED = 0.5
-"""Metres along which two walls must overlap to be the same."""
 ALIGNMENT_SIGMAS = np.array([0.03, math.radians(0.5)])
 """Metres across and radians: residuals at which the weight of a pair is one half while maps are aligned."""
 ALIGNMENT_STEPS = 10
@@ -60,7 +59,11 @@ def _alignment_step(first: MapWalls, second: MapWalls, pairs: Integers, points: 
 
 
 def common_walls(first: MapWalls, second: MapWalls, motion: se2.Pose, across: float, turn: float) -> Integers:
-    """Return the rows (n, 2) of walls that can be the same: mutually nearest, and within the gates."""
+    """Return the rows (n, 2) of walls that can be the same: mutually nearest, and within the gates.
+
+    motion        pose of the second map in the first one
+    across, turn  gates: metres across and radians between two walls
+    """
     frames = se2.compose(motion, second.frame)
     ends = np.stack([second.low, second.high], axis=1)
     relative = se2.between(first.frame[:, None], frames[None])  # (first, second, 3)
@@ -69,7 +72,7 @@ def common_walls(first: MapWalls, second: MapWalls, motion: se2.Pose, across: fl
     high = np.minimum(along.max(axis=-1), first.high[:, None])
     middle = 0.5 * (low + high)
     offset = np.abs(relative[..., 1] + (middle - relative[..., 0]) * np.tan(relative[..., 2]))
-    possible = (high - low > MIN_SHARED) & (np.abs(relative[..., 2]) < turn) & (offset < across)
+    possible = (high - low > MIN_COMMON_LENGTH) & (np.abs(relative[..., 2]) < turn) & (offset < across)
     offset = np.where(possible, offset, np.inf)
     if not offset.size:
         return np.zeros((0, 2), dtype=np.int64)

@@ -14,6 +14,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Scan
+from features.normal_limits import NORMAL_LIMIT
 
 from ..bounds import MAX_MOUNT
 from ..config import LidarConfig
@@ -34,9 +35,6 @@ REFERENCE_INTERVAL = 0.1
 # like a milliradian of turning, would bend the scan, and the first keyframe, which defines the map, is nearly always
 # taken standing. Origin: measured; the data are not recorded.
 MIN_SWEEP_TRAVEL = 2e-3
-# Standard deviations of the fit from the reading in the middle up to which it is taken for a random error.
-# Origin: chosen, 99.7 % of a normal distribution.
-FIT_DEVIATIONS = 3.0
 # Origin: definition.
 PARABOLA_PARAMETERS = 3
 
@@ -149,7 +147,7 @@ def deskew(
     error, fitted = np.zeros(3), 0.0
     if model is not None:
         fitted = float(times[central][-1])
-        limit = FIT_DEVIATIONS * model.deviations_of_fit(float(travels[central].max()))
+        limit = NORMAL_LIMIT * model.deviations_of_fit(float(travels[central].max()))
         error = np.clip(_fitted_middle(times[central], moves[central]), -limit, limit)
         moves = model.correct(between_each(error[None], moves))
     ranges, bearings = _seen_from_middle(scan, ranges, offsets, moves, mount)

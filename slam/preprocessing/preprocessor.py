@@ -13,6 +13,7 @@ from features import LearnedNoise
 
 from ..config import Config
 from ..geometry.segments import CornerPoints, Segments
+from ..mapping.trajectory_builder import SAME_STAMP
 from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
@@ -22,9 +23,6 @@ from .deskew import sweep_middle
 from .lidar_features import LidarFeatures, joined
 from .scan_queue import ScanPair, ScanQueue
 
-# Seconds between two scans at least: scans are told apart by their stamps, which files state in microseconds. Origin:
-# definition.
-DISTINCT = 1e-6
 # Features of an empty scan. Origin: definition.
 NO_FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
@@ -43,7 +41,7 @@ class ProcessedScan:
     odometry  (3,) odometry pose in the middle of the sweep
     features  segments, corners and points in the base's frame
     travel    metres of wheel travel from the middle of the sweep to its ends
-    measured  False if odometry was missing or failing, so that an even motion led to the scan
+    measured  False if odometry was missing or failing, so that an even motion is assumed to have led to the scan
     """
 
     stamp: float
@@ -134,7 +132,7 @@ class Preprocessor:
         """De-skew a scan and extract its segments, corners and the points on neither.
 
         Those of a second lidar's scan are added, moved to the stamp of the first. Stamps may be coarser than the scans
-        are frequent: one with the stamp of the scan before gets a stamp DISTINCT from it.
+        are frequent: a scan with the stamp of the one before gets a stamp that is SAME_STAMP later.
 
         velocity  of the base during the sweeps; None if odometry measures the motion
         """
@@ -146,7 +144,7 @@ class Preprocessor:
             second = self._second.extract(pair.second, odometry, odometry_model)
             features = joined(features, second.moved_to(deskewed, odometry_model).in_base_frame(odometry_model))
             self.joined_scans += 1
-        self._latest = max(deskewed.stamp, self._latest + DISTINCT)
+        self._latest = max(deskewed.stamp, self._latest + SAME_STAMP)
         return ProcessedScan(self._latest, deskewed.odometry, features, travel, measured=velocity is None)
 
     def _even_motion(self, pair: ScanPair, velocity: VelocityFilter) -> OdometryHistory:

@@ -31,8 +31,8 @@ WINDOW_WITHOUT_ODOMETRY = (-1.25, 0.0)
 USUAL_INTERVAL, MAX_INTERVAL = 0.1, 0.25
 # Intervals whose median is used. Origin: chosen; scans that are stamped when they are sent come in bursts.
 INTERVALS = 5
-# Share of an interval after which the next scan is expected at the earliest. Origin: chosen, as the margin of WINDOW.
-EARLIEST = 0.75
+# Share of an interval after which the next scan is expected at the earliest. Origin: definition, as for WINDOW.
+EARLIEST = -WINDOW[0]
 # Seconds without a scan of the second lidar from which on it is not waited for. Origin: chosen, several periods of
 # common lidars, and much less than MAX_QUEUED_SECONDS.
 MAX_ABSENCE = 0.4

@@ -17,8 +17,9 @@ from drivers import se2
 from ..formatting import percent
 from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats, Integers
-from ..loop_closure.criteria import MAX_MATCH_SIGMA, MIN_KNOWN, MIN_LOOP_FIT
+from ..loop_closure.criteria import MIN_KNOWN, MIN_LOOP_FIT
 from ..loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN, DISTORTION_SIGMAS, NO_PRIOR, are_distinct
+from ..matching.offset_tiles import MAX_CORRECTED_SIGMA
 from ..matching.point_matcher import point_cost
 from .evidence import chances_of_fit, compare_cells, evidence_of
 from .placements import Placement, Uncertainty, find_placements, matched_walls
@@ -188,7 +189,7 @@ class _Comparison:
         """Return the submaps whose place was seen, that fit at the best placement, and whose position is determined."""
         rows, informations = [], self._placements[self._best].informations
         for submap, ((fit, known), information) in enumerate(zip(self._fitting, informations, strict=True)):
-            determined = position_sigma(_covariance(information)) < MAX_MATCH_SIGMA
+            determined = position_sigma(_covariance(information)) < MAX_CORRECTED_SIGMA
             if determined and fit >= MIN_LOOP_FIT and known >= MIN_KNOWN:
                 rows.append(submap)
         return rows

@@ -22,7 +22,7 @@ from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
 from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
 from .map_index import align_candidates
-from .scanned_map import PlacedSubmap, ScannedDrive, ScannedMap
+from .scanned_map import DriveSubmap, ScannedDrive, ScannedMap
 from .submap_alignment import align_submap, sample_walls
 
 # Placements that are compared, those first in which a submap has most wall length on walls of the other map.
@@ -31,8 +31,8 @@ MAX_PLACEMENTS = 64
 # Candidates at random poses: they show how well places fit that have nothing in common with the drive. Origin: chosen,
 # their cells are some hundred.
 RANDOM_CANDIDATES = 16
-# Metres, metres, radians: standard deviations of a candidate from walls, the last gates of `submap_alignment`.
-# Origin: definition.
+# Metres, metres, radians: standard deviations of a candidate from walls. Origin: chosen, the last offset gate of
+# `submap_alignment`, and half of its last heading gate; not measured.
 ALIGNMENT_SIGMAS = np.array([0.2, 0.2, 0.05])
 
 
@@ -45,11 +45,11 @@ class Uncertainty:
 
     covariance: Floats
 
-    def admits(self, submap: PlacedSubmap, pose: se2.Pose) -> bool:
+    def admits(self, submap: DriveSubmap, pose: se2.Pose) -> bool:
         """Return True if a submap may be at a pose in the other map. No submap has drifted farther than the last."""
         return squared_distance(submap.pose, pose, self.covariance) < MAX_SQUARED_DISTANCE
 
-    def draw(self, submap: PlacedSubmap, random: np.random.Generator) -> se2.Pose:
+    def draw(self, submap: DriveSubmap, random: np.random.Generator) -> se2.Pose:
         """Return a pose of a submap in the other map, drawn from those that are admitted with equal probability."""
         direction = random.standard_normal(3)
         direction *= random.random() ** (1.0 / 3.0) / np.linalg.norm(direction)

@@ -23,6 +23,7 @@ from ..loop_closure.submap_search import DISTORTION_SIGMAS, build_submap
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
+from ..matching.offset_tiles import FIELD_CELL
 from ..matching.point_costs import points_cost
 from ..matching.scan_points import lines_of
 from .map_descriptor import MapDescriptor
@@ -35,7 +36,7 @@ EVIDENCE_CELL = 1.0
 MIN_WALL_LENGTH = 3.0
 # Metres between the points kept of a surface, so that evidence does not depend on how often the surface was seen.
 # Origin: chosen, two cells of a distance field; not measured.
-THINNED_SPACING = 0.1
+THINNED_SPACING = 2.0 * FIELD_CELL
 # Metres from the outermost point to the border of a distance field. Origin: chosen; not measured.
 FIELD_MARGIN = 2.0
 # Metres from the median position along x and y up to which a map is searched: memory grows with the square, and one
@@ -109,7 +110,7 @@ class SubmapScan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlacedSubmap:
+class DriveSubmap:
     """Submap in its own drive's map.
 
     scan    the submap
@@ -131,7 +132,7 @@ class ScannedDrive:
     relations  pose of the second submap of a pair in the frame of the first, and its covariance (3, 3) in its own frame
     """
 
-    submaps: Sequence[PlacedSubmap]
+    submaps: Sequence[DriveSubmap]
     cells: int
     relations: Mapping[tuple[int, int], tuple[se2.Pose, Floats]]
 
@@ -181,7 +182,7 @@ def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDEN
     moved = [_transform(pose, scan.points)[:, :2] for pose, scan in zip(poses, scans, strict=True)]
     grid = _CellGrid.of(*_bounds(np.concatenate([poses[:, :2], *moved]), poses), cell)
     placed = [
-        PlacedSubmap(scan, pose, grid.sort(scan.points, pose, scan.descriptor))
+        DriveSubmap(scan, pose, grid.sort(scan.points, pose, scan.descriptor))
         for scan, pose in zip(scans, poses, strict=True)
     ]
     return ScannedDrive(placed, grid.count, _relations(mapper, placed))
@@ -245,7 +246,7 @@ def _bounds(points: Floats, poses: Floats) -> tuple[Floats, Floats]:
     return low, np.maximum(low, np.minimum(high, middle + MAX_REACH))
 
 
-def _relations(mapper: Mapper, submaps: Sequence[PlacedSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
+def _relations(mapper: Mapper, submaps: Sequence[DriveSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
     """Return the relative poses of submaps with the one before and the nearest earlier one, in both directions."""
     relations = {}
     for j in range(1, len(submaps)):

@@ -13,7 +13,9 @@ from drivers.compiled import compiled, inlined
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
 from ..geometry.small_matrices import solve
+from ..mapping.wall_cells import WALL_CELL
 from .map_descriptor import MapDescriptor
+from .wall_pairs import POSE_CELL
 
 # Metres across between two matched walls, for each Gauss-Newton step; the last step only scores.
 # Origin: chosen, from the cells of the pose votes to the accuracy of a submap; not measured.
@@ -23,8 +25,6 @@ SUBMAP_HEADING_GATES = np.radians([12.0, 10.0, 8.0, 7.0, 6.0, 6.0, 6.0])
 # Metres, standard deviation between two maps of one wall in addition to the covariances of both.
 # Origin: chosen; not measured.
 WALL_DIFFERENCE_SIGMA = 0.03
-# Metres of wall between the sample points that are looked up in the map. Origin: chosen, a cell of a wall.
-SAMPLE_SPACING = 0.1
 # Metres by which a wall of the map may continue beyond an observed stretch. Origin: chosen; not measured.
 STRETCH_END_MARGIN = 0.15
 # Per square metre and per square radian: regularises the solution if the walls leave a direction undetermined.
@@ -32,7 +32,7 @@ STRETCH_END_MARGIN = 0.15
 ALIGNMENT_REGULARISATION = 1e-3
 # Metres by which Gauss-Newton may move the submap; bounds the walls that are considered.
 # Origin: chosen, three cells of the pose votes; not measured.
-MAX_ALIGNMENT_SHIFT = 1.5
+MAX_ALIGNMENT_SHIFT = 3.0 * POSE_CELL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,12 +67,12 @@ class WallSamples:
 
 
 def sample_walls(descriptor: MapDescriptor) -> WallSamples:
-    """Return a point every SAMPLE_SPACING metres of the observed stretches."""
-    counts = np.maximum(1, np.round((descriptor.stretches[:, 1] - descriptor.stretches[:, 0]) / SAMPLE_SPACING)).astype(
+    """Return a point every WALL_CELL metres of the observed stretches."""
+    counts = np.maximum(1, np.round((descriptor.stretches[:, 1] - descriptor.stretches[:, 0]) / WALL_CELL)).astype(
         np.int64
     )
     within = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    along = np.repeat(descriptor.stretches[:, 0], counts) + (within + 0.5) * SAMPLE_SPACING
+    along = np.repeat(descriptor.stretches[:, 0], counts) + (within + 0.5) * WALL_CELL
     return WallSamples(np.repeat(descriptor.stretch_wall, counts), along)
 
 
@@ -85,7 +85,7 @@ def align_submap(start: se2.Pose, submap: MapDescriptor, samples: WallSamples, d
         descriptor.frame, descriptor.half_length, descriptor.covariance, descriptor.stretches, first,
     )  # fmt: skip
     pose[2] = se2.wrap(pose[2])
-    spacings = np.full(len(samples.wall), SAMPLE_SPACING)
+    spacings = np.full(len(samples.wall), WALL_CELL)
     observed = np.asarray(np.bincount(samples.wall, spacings, len(submap)), dtype=np.float64)
     matched = np.asarray(np.bincount(samples.wall, spacings * on_map, len(submap)), dtype=np.float64)
     return Alignment(pose, information, matches, observed, matched)
@@ -202,7 +202,7 @@ def _relative_information(own, at, other, there, length):  # type: ignore[no-unt
     v00 = own[0, 0] + 2 * at * own[0, 1] + at**2 * own[1, 1]
     v00 += other[0, 0] + 2 * there * other[0, 1] + there**2 * other[1, 1]
     v01 = own[0, 1] + at * own[1, 1] + other[0, 1] + there * other[1, 1]
-    v11 = own[1, 1] + other[1, 1] + 12 * WALL_DIFFERENCE_SIGMA**2 / max(length, SAMPLE_SPACING) ** 2
+    v11 = own[1, 1] + other[1, 1] + 12 * WALL_DIFFERENCE_SIGMA**2 / max(length, WALL_CELL) ** 2
     v00 += WALL_DIFFERENCE_SIGMA**2
     determinant = v00 * v11 - v01 * v01
     return v11 / determinant, -v01 / determinant, v00 / determinant

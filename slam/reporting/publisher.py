@@ -87,7 +87,7 @@ class Publisher:
     ) -> None:
         """Publish the pose of a scan, and a notice if it was not tracked normally.
 
-        velocity  of the base at the scan while odometry fails, else None
+        velocity  of the base at the scan while odometry is failing, else None
         """
         self._blind.add(scan.stamp, wrong=tracking.status is TrackingStatus.NO_FEATURES)
         self._unmeasured.add(scan.stamp, wrong=not scan.measured)

@@ -33,7 +33,7 @@ class ScanReport:
         state        with the results of the run, after the scan
         sigma_range  standard deviation of a range, metres
         timer        with the times of the scan's processing
-        velocity     of the base at the scan while odometry fails, else None
+        velocity     of the base at the scan while odometry is failing, else None
         """
         statistics, publisher, mapper = self._statistics, self._publisher, state.mapper
         statistics.add_tracking(scan, result.tracking)

@@ -22,8 +22,9 @@ from ...localisation.slip_statistics import SlipStatistics
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.distance_field import DistanceField
+from ...matching.landmark_equations import MATCH_CAUCHY_SCALE
 from ...matching.line_matcher import Registration
-from ...matching.point_matcher import KERNEL, PointMatch, Prediction
+from ...matching.point_matcher import PointMatch, Prediction
 from ...matching.scan_features import ScanFeatures
 from ...odometry.error_model import OdometryModel
 from ...odometry.velocity import ScanClock
@@ -125,7 +126,7 @@ class FullMapMatcher:
         present = Prediction(poses[row], self._prior(row, poses))
         cost = 0.0 if self._odometry_wrong[row] else self._slip_cost
         even = Prediction(self._interpolate(row, poses), self._weak_information, cost)
-        predictions = [present, even] if present.squared_distance(even.pose) > KERNEL**2 else [present]
+        predictions = [present, even] if present.excludes(even.pose) else [present]
         match = target.match(scan, predictions, exhaustive=True)
         if not self._odometry_wrong[row]:
             match = match_without_moving(match, predictions, scan, target) or match
@@ -248,7 +249,8 @@ def _prior(neighbour, present, motion, motion_information, information):  # type
     c, s = math.cos(heading), math.sin(heading)
     x, y = present[0] - x, present[1] - y
     turn = wrap_angle(present[2] - heading)
-    weight = 1.0 / (1.0 + quadratic_form(motion_information, c * x + s * y, c * y - s * x, turn) / KERNEL**2)
+    squared = quadratic_form(motion_information, c * x + s * y, c * y - s * x, turn)
+    weight = 1.0 / (1.0 + squared / MATCH_CAUCHY_SCALE**2)
     covariance = inverse(information + weight * motion_information)
     for k in range(3):
         covariance[k, k] += TRACKED_SIGMAS[k] ** 2

@@ -20,8 +20,8 @@ from drivers.simulation import LidarModel, Simulation
 
 from ...config import Config, LidarConfig
 from ...errors import MapError
+from ...geometry.chi_square import chi_square_quantile
 from ...geometry.segments import Floats
-from ...graph.chi_square import chi_square_quantile
 from ...io.json_files import to_json_types
 from ...offline.calibration.range_bias import estimate_range_bias
 from ..ground_truth import Nees, measure

@@ -14,8 +14,8 @@ import numpy as np
 from drivers import se2
 
 from ...events import Finished
+from ...geometry.chi_square import chi_square_quantile
 from ...geometry.segments import Floats, Integers
-from ...graph.chi_square import chi_square_quantile
 from ...io.tum import Trajectory
 from ...mapping.map_features import MapWalls
 from ...mapping.mapper import Mapper

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -217,7 +216,11 @@ def _tracker_record(state: TrackerState) -> _Tracker:
         velocity_variances=to_pose(state.velocity_variances),
         prediction_variances=to_pose(state.prediction_variances),
         prediction_scans=state.prediction_scans,
-        **asdict(state.slips),
+        scans=state.slips.scans,
+        slips=state.slips.slips,
+        after_slips=state.slips.after_slips,
+        repeated_slips=state.slips.repeated_slips,
+        failing=state.slips.after_slip,
         contradicted_for=state.contradicted_for,
         last_score=state.last_score,
     )

@@ -14,11 +14,11 @@ from ...errors import MapError
 from ...graph.factors import Factor, FactorKind
 from ...io.sessions import StoredSession
 from ...io.sessions.corrections import LoopForbidding, Place, PlaceClosing, ProposedClosing
-from ...loop_closure.closing import REVISIT_GAP, pull_together
+from ...loop_closure.closing import pull_together
 from ...loop_closure.decision import LoopDecision
 from ...loop_closure.look import Look
 from ...loop_closure.loop_status import LoopStatus
-from ...loop_closure.submap_search import SUBMAP_LENGTH, SubmapMatch
+from ...loop_closure.submap_search import REVISIT_GAP, SUBMAP_LENGTH, SubmapMatch
 from ...mapping.part_gauge import motion_to_part, return_to_odometry
 from ...mapping.pass_separation import Pass, separate_pass
 from ...reporting.run_statistics import loop_row

@@ -13,8 +13,9 @@ from drivers import se2
 
 from ...geometry.segments import Floats, Integers
 from ...mapping.map_features import MapWalls
+from ...mapping.plan_walls import MIN_COMMON_LENGTH
 from ...measuring.wall_map import WallGeometry
-from ..wall_alignment import MIN_SHARED, common_walls
+from ..wall_alignment import GATES, common_walls
 from .end_shifts import EndShift, find_end_shifts
 from .movement import Movements, find_movements
 from .sight import SeenThrough, Sightings, covered_share, find_sightings
@@ -24,8 +25,8 @@ from .surveys import Survey, locate
 # is another wall. Origin: chosen; not measured.
 MAX_SHIFT, MAX_TURN = 0.5, math.radians(10.0)
 # Metres across and radians within which walls are the same until a test shows that one has moved.
-# Origin: chosen, as the last gate of the alignment; not measured.
-SAME_SHIFT, SAME_TURN = 0.2, math.radians(4.0)
+# Origin: definition, the last gate of the alignment.
+SAME_SHIFT, SAME_TURN = GATES[-1][0], math.radians(GATES[-1][1])
 # Share of a stretch that a line covers if it bridges a door. Origin: chosen, most of it; not measured.
 MIN_BRIDGED = 0.5
 # Walls that are known not to have moved from which the motion between the maps follows. Origin: definition, three
@@ -170,9 +171,9 @@ def _without_bridged(sightings: Sightings, old: WallGeometry, new: WallGeometry,
 def find_pairs(old: MapWalls, new: MapWalls, motion: se2.Pose) -> Integers:
     """Return the rows (n, 2) of walls that are the same, or one of which may have been moved."""
     near = common_walls(old, new, motion, SAME_SHIFT, SAME_TURN)
-    near = near[_shared_lengths(old, new, near, motion) >= MIN_SHARED]
+    near = near[_shared_lengths(old, new, near, motion) >= MIN_COMMON_LENGTH]
     far = common_walls(old, new, motion, MAX_SHIFT, MAX_TURN)
-    far = far[_shared_lengths(old, new, far, motion) >= MIN_SHARED]
+    far = far[_shared_lengths(old, new, far, motion) >= MIN_COMMON_LENGTH]
     fresh = ~np.isin(far[:, 0], near[:, 0]) & ~np.isin(far[:, 1], near[:, 1])
     return np.concatenate([near, far[fresh]])
 
@@ -193,7 +194,7 @@ def _without_hidden(pairs: Integers, old: MapWalls, new: MapWalls, motion: se2.P
         high = np.minimum(ends[..., 0].max(axis=1), new.high[number])
         turn = np.arctan2(along[:, 1], along[:, 0])
         offset = np.abs(ends[:, 0, 1] + (0.5 * (low + high) - ends[:, 0, 0]) * np.tan(turn))
-        same = (high - low > MIN_SHARED) & (np.abs(turn) < SAME_TURN) & (offset < SAME_SHIFT)
+        same = (high - low > MIN_COMMON_LENGTH) & (np.abs(turn) < SAME_TURN) & (offset < SAME_SHIFT)
         kept.append(not (same[1:] & (offset[1:] < offset[0])).any())
     return pairs[kept]
 

@@ -8,15 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
+from features.corner import MIN_SINE
 
 from ...geometry.segments import Floats
-from ...geometry.wall_intersection import MIN_SINE
+from ...mapping.sight_lines import END_MARGIN_CELLS
+from ...mapping.wall_cells import WALL_CELL
 from ...measuring.wall_map import WallGeometry
 from .changes import Change, ChangeKind, MapDiff
 
 # Metres by which a corner may be beyond the stretch that is gone or new. Origin: chosen, the margin at the ends of a
 # wall that is never seen through, and a cell.
-END_MARGIN = 0.3
+END_MARGIN = (END_MARGIN_CELLS + 1) * WALL_CELL
 
 
 @dataclass(frozen=True, slots=True, eq=False)

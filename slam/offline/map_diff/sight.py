@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
 from ...geometry.segments import Floats, Integers
-from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, MIN_DEPTH_SIGMAS, trace_sight_lines
+from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, trace_sight_lines
 from ...mapping.wall_cells import ON_WALL_DISTANCE, WALL_CELL
 from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
 from ...measuring.wall_map import WallGeometry
@@ -131,7 +132,7 @@ class _Cells:
         along = self._along(np.arange(self.count)) + 0.5 * WALL_CELL
         covariance = walls.covariance[self.wall]
         variance = covariance[:, 0, 0] + 2.0 * along * covariance[:, 0, 1] + along**2 * covariance[:, 1, 1]
-        self._min_depth = MIN_DEPTH + MIN_DEPTH_SIGMAS * np.sqrt(variance)
+        self._min_depth = MIN_DEPTH + NORMAL_LIMIT * np.sqrt(variance)
 
     def _along(self, cells: Integers) -> Floats:
         """Return the metres from the frame of its wall to the begin of each cell."""

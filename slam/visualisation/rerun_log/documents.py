@@ -9,7 +9,7 @@ import numpy as np
 
 from ...events import Correction, KeyframeAdded, LoopDecided
 from ...formatting import percent
-from ...graph.chi_square import chi_square_tail
+from ...geometry.chi_square import chi_square_tail
 from ...graph.residuals import MEASUREMENTS, Residuals
 from .feature_matches import FeatureMatches
 

@@ -1,10 +1,8 @@
 """Convert the pipeline's events into rows of the review log.
 
 Rows of a keyframe are stamped with all timelines. Rows between keyframes are stamped with `sensor_time` only: on the
-timeline `keyframe` they would show the robot ahead of the keyframe's scan.
-
-A step of the timelines `candidate` and `closure` shows everything as it was right after a loop decision or a correction
-of the map. It is logged when the next keyframe or decision begins, since a correction is followed by the corrected map.
+timeline `keyframe` they would show the robot ahead of the keyframe's scan. For the others
+see `decision_steps`.
 """
 
 from __future__ import annotations
@@ -41,6 +39,7 @@ from ...mapping.map_features import MapCorners, MapWalls
 from . import documents
 from .blueprint import Extent, layout
 from .confidence_layer import log_confidence
+from .decision_steps import DecisionSteps
 from .factor_graph_layer import FactorGraphLayer
 from .grid_layer import log_grid
 from .ground_truth_layer import GroundTruthLayer
@@ -54,7 +53,6 @@ from .shapes import bounds, largest_sigmas
 from .shown_area import NO_MAP, ShownArea
 from .status_layer import StatusLayer
 from .time_series import TimeSeries
-from .timelines import CANDIDATE, CLOSURE
 from .viewer import ViewerServer
 
 MIN_LOGGED_SHIFT = 0.1  # metres; larger shifts of the path are reported in the text log
@@ -84,8 +82,7 @@ class EventLog:
         self._writer = RrdWriter(path, layout(Extent(*NO_MAP)), server, part_size, max_age)
         self._shown_area = ShownArea(self._writer, has_live_viewers=server is not None)
         self._log_run_properties(config, recording, versions, seed)
-        self._decisions = self._corrections = 0  # loop decisions and corrections of the map so far
-        self._decision_steps = self._correction_steps = 0  # steps of the timelines so far
+        self._steps = DecisionSteps(self._writer)
         self._time_series = TimeSeries(self._writer)
         self._map_layer = MapLayer(self._writer)
         self._path_layer = PathLayer(self._writer)
@@ -164,11 +161,11 @@ class EventLog:
 
     def close(self) -> None:
         """Fit the layout to the map, and finish the file."""
-        self._end_steps()
+        self._steps.end()
         self._shown_area.finish(
             truth=self._ground_truth_layer.aligned,
             typical_time=self._time_series.typical_maximum("time"),
-            corrected=self._corrections > 0,
+            corrected=self._steps.corrections > 0,
             fitted=self._time_series.count("chi2") > 1,
             mapped=self._added > 1,
         )
@@ -203,14 +200,6 @@ class EventLog:
         """Stamp the next rows with the sensor time only."""
         self._writer.set_time(stamp, None)
 
-    def _end_steps(self) -> None:
-        """Log the step of the last decision, and of the last correction, if it is not logged yet."""
-        if self._decisions > self._decision_steps:
-            self._writer.log_step(CANDIDATE, self._decisions)
-        if self._corrections > self._correction_steps:
-            self._writer.log_step(CLOSURE, self._corrections)
-        self._decision_steps, self._correction_steps = self._decisions, self._corrections
-
     def _write_notice(self, event: Notice) -> None:
         """Log a notice, unless it repeats the last one: a robot that slips for seconds would fill the text log."""
         self._at_last_keyframe(event.stamp)
@@ -232,7 +221,7 @@ class EventLog:
         self._keyframe_layer.move_robot(event.pose)
 
     def _write_keyframe(self, event: KeyframeAdded) -> None:
-        self._end_steps()
+        self._steps.end()
         self._writer.manage_files()
         first, previous = self._index is None, self._pose
         self._added += 1
@@ -257,19 +246,18 @@ class EventLog:
 
     def _write_decision(self, event: LoopDecided) -> None:
         """Log a loop decision at the last keyframe; a retracted loop was accepted at an earlier one."""
-        self._end_steps()  # there may be two decisions at one keyframe
-        self._decisions += 1
+        self._steps.end()  # there may be two decisions at one keyframe
+        self._steps.add(corrects=event.correction is not None)
         self._at(max(self._index or 0, event.index), event.stamp)
         pose = self._pose
         if event.correction is not None:
-            self._corrections += 1
             self._fit = self._per_dof(event.correction.chi2)
             pose = event.correction.keyframes_before[-1]
         elif event.index < len(self._keyframes):  # rejected some metres of driving later
             pose = self._keyframes[event.index]
         if event.status == LoopStatus.RETRACTED:
             self._factor_graph_layer.unmerge(event.index)
-        self._decision_layer.log(event, self._decisions, pose, self._fit)
+        self._decision_layer.log(event, self._steps.decisions, pose, self._fit)
         self._correction_layer.log(event)
         self._shown_area.show_decisions()
         for old, recent in event.merged if event.status == LoopStatus.ACCEPTED else ():
@@ -288,7 +276,7 @@ class EventLog:
         self._at(max(self._index or 0, event.index), event.stamp)
         self._walls, self._corners, self._keyframes = event.walls, event.corners, event.keyframes
         self._log_map(event.walls, event.corners, event.keyframes, event.keyframes)
-        if self._corrections > self._correction_steps and len(event.keyframes):
+        if self._steps.is_correction_open and len(event.keyframes):
             self._pose = event.keyframes[-1]
             self._keyframe_layer.correct(self._pose, event.walls, event.corners)
         self._dof = event.dof
@@ -316,7 +304,7 @@ class EventLog:
         self._shown_area.enlarge(*bounds(walls.end_points(), path))
 
     def _write_finish(self, event: Finished) -> None:
-        self._end_steps()
+        self._steps.end()
         self._at_last_keyframe(self._stamp)
         if event.keyframe_covariance is not None:
             self._path_layer.set_sigmas(largest_sigmas(event.keyframe_covariance[:, :2, :2]))

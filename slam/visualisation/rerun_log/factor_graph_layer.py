@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ...events import GraphInspected, KeyframeAdded
+from ...geometry.chi_square import chi_square_tail
 from ...geometry.segments import Floats, Integers
-from ...graph.chi_square import chi_square_tail
 from ...graph.residuals import CORNER, GAUGE_PRIOR, MEASUREMENTS, ODOMETRY, PRIOR, WALL, Residuals
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours

@@ -38,7 +38,7 @@ def simulated_drive(world: str, seed: int = 0) -> Drive:
         points=[scan.features.points.xy for scan in scans],
         deviations=np.array([0.04, 0.04, 0.03, 0.03]),
         floors=np.array([config.odometry.translation_floor, config.odometry.rotation_floor]),
-        failing=np.zeros(len(scans), dtype=bool),
+        measured=np.ones(len(scans), dtype=bool),
     )
 
 
@@ -73,5 +73,5 @@ def carried(drive: Drive, first: float, last: float) -> Drive:
         odometry=odometry[kept],
         segment=drive.segment[kept],
         points=points,
-        failing=drive.failing[kept],
+        measured=drive.measured[kept],
     )

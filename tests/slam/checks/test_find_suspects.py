@@ -131,10 +131,10 @@ def test_steps_are_not_compared_with_odometry_that_is_known_to_fail() -> None:
     frozen, begin, end = drive.odometry.copy(), row_at(drive, 40.0), row_at(drive, 44.0)
     frozen[begin:end] = frozen[begin]
     frozen[end:] = se2.compose(frozen[begin], se2.between(frozen[end], frozen[end:]))
-    failing = np.zeros(len(drive), dtype=bool)
-    failing[begin : end + 1] = True
+    measured = np.ones(len(drive), dtype=bool)
+    measured[begin : end + 1] = False
     assert of(PLACEMENT, find_suspects(replace(drive, odometry=frozen)))
-    found = find_suspects(replace(drive, odometry=frozen, failing=failing))
+    found = find_suspects(replace(drive, odometry=frozen, measured=measured))
     assert [suspect.check for suspect in found] == [ODOMETRY]
 
 

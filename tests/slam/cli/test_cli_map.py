@@ -18,7 +18,7 @@ FORMATS = ("pgm", "geojson", "svg", "dxf", "ply")
 @pytest.fixture
 def ran(wclm: Any, fake_slam: type) -> Path:
     """Return the output directory of `wclm run`."""
-    assert wclm("run", "sim:room?duration=3&seed=4&lidar=short", "--out", "out", "--no-review").exit_code == 0
+    assert wclm("run", "sim:room?duration=3&seed=4", "--out", "out", "--no-review").exit_code == 0
     return Path("out")
 
 
@@ -35,7 +35,7 @@ def test_existing_export_is_replaced_only_with_overwrite(wclm: Any, ran: Path, f
     assert wclm("map", ran, "--format", form, "--out", f"elsewhere.{form}").exit_code == 0
     assert Path(f"elsewhere.{form}").read_bytes() == (ran / name).read_bytes()
     wclm.refuses("map", ran, "--format", form, "--out", "a.b", because=["a.b: the name of a", f"end with .{form}"])
-    assert wclm("run", "sim:room?duration=3&lidar=short", "--out", ran, "--no-review", "--overwrite").exit_code == 0
+    assert wclm("run", "sim:room?duration=3", "--out", ran, "--no-review", "--overwrite").exit_code == 0
     assert not (ran / name).exists()  # it belonged to the older run
 
 
@@ -80,8 +80,8 @@ def test_point_cloud_contains_all_returns(wclm: Any, ran: Path) -> None:
     points = np.array(list(struct.iter_unpack("<fff", body)))
     assert points.shape == (count, 3)
     assert f"{count} points" in result.stdout
-    assert 4300 < count < 16 * 360
-    assert np.ptp(points[:, 0]) == pytest.approx(6.4, abs=0.14)  # four and a half standard deviations at each side
+    assert 20_000 < count < 29 * 920
+    assert np.ptp(points[:, 0]) == pytest.approx(6.4, abs=0.1)
     assert not points[:, 2].any()
 
 
@@ -108,7 +108,7 @@ def test_summary_without_recording_is_an_error(wclm: Any, ran: Path) -> None:
     write_json(ran / "summary.json", summary)
     (ran / "keyframes.csv").unlink()
     wclm.refuses("map", ran, "--format", "pgm", because=["does not say where its recording sim:room is"])
-    assert wclm("map", ran, "--format", "pgm", "--recording", "sim:room?duration=3&lidar=short").exit_code == 0
+    assert wclm("map", ran, "--format", "pgm", "--recording", "sim:room?duration=3").exit_code == 0
     assert wclm("map", ran, "--format", "svg").exit_code == 0
 
 

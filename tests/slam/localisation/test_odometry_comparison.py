@@ -122,10 +122,10 @@ def test_the_motion_is_predicted_to_be_even_while_odometry_fails() -> None:
         predictor.update(result, odometry, None, certain)
         pose = pose + STEP
         odometry = odometry if k >= 19 else odometry + STEP
-    assert predictor.odometry_fails
+    assert predictor.odometry_failing
     assert not predictor.measured
     state = predictor.state(0.0)
     assert state is not None
     restored = PosePredictor(OdometryModel(OdometryConfig()))
     restored.restore(state)
-    assert restored.odometry_fails
+    assert restored.odometry_failing

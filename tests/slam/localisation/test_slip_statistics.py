@@ -37,7 +37,7 @@ def test_a_slip_after_a_slip_has_its_own_probability(staying: float) -> None:
         slipped = bool(random.random() < (staying if slipped else 0.01))
         slips.add(slipped=slipped)
     for last, probability in ((False, 0.01), (True, staying)):
-        slips.failing = last
+        slips.after_slip = last
         assert np.exp(-slips.cost) == pytest.approx(probability, rel=0.2)
         assert np.exp(-slips.cost) + np.exp(-slips.cost_of_none) == pytest.approx(1.0)
 

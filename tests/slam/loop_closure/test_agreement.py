@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure.agreement import LoopAgreement
-from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT, SPAN_DEVIATIONS
+from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.look import Look, Submaps
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
@@ -134,7 +135,7 @@ def test_drift_that_leads_to_no_other_place_is_corrected_although_the_drive_ends
     assert found
     matches = found[0].matches
     assert len(matches) >= MIN_SUPPORT
-    assert SUBMAP_LENGTH > matches[-1].travelled - matches[0].travelled >= SPAN_DEVIATIONS * SIGMAS[0]
+    assert SUBMAP_LENGTH > matches[-1].travelled - matches[0].travelled >= NORMAL_LIMIT * SIGMAS[0]
     left = se2.compose(found[0].correction, drift)
     assert np.hypot(*left[:2]) < 0.05
     assert abs(left[2]) < 0.01
@@ -248,7 +249,8 @@ def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
     look, matches = matches_along_a_hall(StubMap(np.diag([0.1, 0.1, 0.02]) ** 2), [motion[0]] * 5)
     hypothesis, agreement = LoopHypothesis(motion, matches), LoopAgreement()
     agreement.restore(LoopAgreementState(contradictions=contradicted, hypotheses=[hypothesis]), LocalField())
-    agreement._count_votes(look, Votes(None, [(agreement._hypotheses[0], vote_for(motion))], []), LocalField())
+    (followed,) = agreement._hypotheses
+    agreement._count_votes(look, Votes(None, [(followed, vote_for(motion))], []), LocalField())
     decision = agreement._accepted(look)
     assert (decision is not None) == accepted
     assert decision is None or decision.doubted
