@@ -15,8 +15,8 @@ import sys
 from ..memory import return_large_blocks
 from .signals import exit_at_once, exit_on_signals
 
-COLLECTION_THRESHOLD = 50_000
-"""New objects after which Python looks for garbage, instead of 700: imports create some 100 000 that all stay."""
+COLLECTION_THRESHOLD = 250_000
+"""New objects after which Python looks for garbage, instead of 700: imports create some 200 000 that all stay."""
 
 
 def main() -> None:
