@@ -28,6 +28,7 @@ def main() -> None:
     return_large_blocks()  # before imports raise the size from which glibc does
     gc.set_threshold(COLLECTION_THRESHOLD)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # reuses what a run has freed
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: other threads would only wait, busily
     from typer.main import get_command
 
     from .console import EXIT_USER_ERROR, print_message
