@@ -63,7 +63,7 @@ def drive_of(
         poses=poses[found[rows]],
         odometry=_corrected_path(scans.odometry[rows], odometry_model),
         segment=segment,
-        points=[scans.features(row).points.xy for row in rows.tolist()],
+        points=[scans.points(row) for row in rows.tolist()],
         deviations=odometry_model.deviations,
         floors=odometry_model.floors,
         measured=scans.measured[rows],

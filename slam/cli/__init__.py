@@ -15,8 +15,8 @@ import sys
 from ..memory import return_large_blocks
 from .signals import exit_at_once, exit_on_signals
 
-COLLECTION_THRESHOLD = 50_000
-"""New objects after which Python looks for garbage, instead of 700: imports create some 100 000 that all stay."""
+COLLECTION_THRESHOLD = 250_000
+"""New objects after which Python looks for garbage, instead of 700: imports create some 200 000 that all stay."""
 
 
 def main() -> None:
@@ -28,6 +28,7 @@ def main() -> None:
     return_large_blocks()  # before imports raise the size from which glibc does
     gc.set_threshold(COLLECTION_THRESHOLD)
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")  # reuses what a run has freed
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # matrices are small: other threads would only wait, busily
     from typer.main import get_command
 
     from .console import EXIT_USER_ERROR, print_message

@@ -44,6 +44,8 @@ if TYPE_CHECKING:
     from .mode_switch import ModeSwitch
 
 FINDING_TIMING = "estimating the timing of the lidar"
+RUN_COLLECTION_THRESHOLD = 50_000
+"""New objects of a run after which Python looks for garbage: to examine more at once would delay a scan."""
 
 
 def run_slam(
@@ -120,6 +122,7 @@ def _load_code(*, finite: bool) -> None:
     import_module("slam.pipeline")  # so that its modules are frozen, too
     return_code_of_imports()
     gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
+    gc.set_threshold(RUN_COLLECTION_THRESHOLD)
 
 
 def _start(run_input: RunInput, setup: RunSetup, sinks: Sequence[Sink], *, refine: bool) -> Slam:

@@ -18,7 +18,7 @@ from ..matching.distance_field import DistanceField
 from ..matching.offset_tiles import MAX_CORRECTED_SIGMA, MAX_CORRECTED_TURN_SIGMA
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, match_points
 from ..preprocessing.preprocessor import ProcessedScan
-from .keyframe_motions import UNMEASURED_MOTION_SIGMAS, scan_match_by
+from .keyframe_motions import UNMEASURED_MOTION_INFORMATION, scan_match_by
 from .slam_state import SlamState
 
 # Metres, metres, radians: standard deviations of the pose of a new scan relative to an old one up to which it is
@@ -90,8 +90,7 @@ def undetermined_share(tracking: TrackingResult) -> float:
     zero if the scan alone determines heading and position. The position along a corridor does not count: the surfaces
     there say nothing about it in later scans either.
     """
-    unknown = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
-    by_scan = inverse(tracking.registration.total_information + unknown)
+    by_scan = inverse(tracking.registration.total_information + UNMEASURED_MOTION_INFORMATION)
     across = float(np.linalg.eigvalsh(by_scan[:2, :2])[0])
     turn, share = float(by_scan[2, 2]), 0.0
     if across > MAX_CORRECTED_SIGMA**2:

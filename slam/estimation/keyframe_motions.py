@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from drivers import se2
@@ -11,6 +9,7 @@ from drivers import se2
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
+from ..localisation.match_target import points_of
 from ..localisation.tracking import TrackingResult
 from ..mapping.keyframes import KeyframeMotion, RelativeScanMatch
 from ..matching.point_matcher import INDEPENDENT_SHARE, PointMatch, point_information
@@ -22,6 +21,8 @@ from .tracking_checkpoint import Anchor
 
 # Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
 UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
+# Information (3, 3) of such a motion. Origin: definition.
+UNMEASURED_MOTION_INFORMATION = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
 
 
 def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking: TrackingResult) -> KeyframeMotion:
@@ -67,7 +68,7 @@ def relative_scan_matches(state: SlamState, scan: ProcessedScan, tracking: Track
     references = field.references(state.pose)
     if not references:
         return []
-    points = scan.features.surface_points()
+    points = points_of(scan.features)
     relatives = [se2.between(pose, registration.point_pose) for _, pose in references]
     of_references = [field.points(keyframe) for keyframe, _ in references]
     parts = split_information(registration.point_information, of_references, points, relatives)
@@ -87,12 +88,17 @@ def _scan_match_with(
 
     The sweep of the earlier scan is taken to be like that of this one.
     """
-    limited = partial(state.odometry_model.limit_information, travel=scan.travel)
-    of_start = point_information(state.local_field.points(keyframe), unbiased=True)
-    covariance, start_covariance = (_covariance_of(limited(INDEPENDENT_SHARE * one)) for one in (information, of_start))
+    covariance, start_covariance = _noise_covariance(state, scan, information), None
+    if not state.mapper.graph.has_point_map(keyframe):
+        of_start = point_information(state.local_field.points(keyframe), unbiased=True)
+        start_covariance = _noise_covariance(state, scan, of_start)
     return RelativeScanMatch(keyframe, relative, covariance, start_covariance)
 
 
-def _covariance_of(information: Floats) -> Floats:
-    """Return the covariance (3, 3) of a motion with some information, if nothing else has measured it."""
-    return np.asarray(inverse(information + np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)))
+def _noise_covariance(state: SlamState, scan: ProcessedScan, information: Floats) -> Floats:
+    """Return the covariance (3, 3) of a scan's pose by the noise of its points, if nothing else has measured it.
+
+    information  (3, 3) of the pose by the points
+    """
+    limited = state.odometry_model.limit_information(INDEPENDENT_SHARE * information, scan.travel)
+    return np.asarray(inverse(limited + UNMEASURED_MOTION_INFORMATION))

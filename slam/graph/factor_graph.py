@@ -172,9 +172,14 @@ class FactorGraph(GraphEstimate):
         All these matches share the noise of the keyframe's own scan, `covariance` (3, 3) in its frame, which therefore
         is a variable of the graph. Otherwise it would count as many independent errors.
         """
-        if not self.additions.values.exists(P(keyframe)) and not self.solver.isam.valueExists(P(keyframe)):
+        if not self.has_point_map(keyframe):
             self.additions.values.insert(P(keyframe), to_pose2(self.keyframe_pose(keyframe)))
             self._add(FactorKind.POINT_MAP, keyframe, keyframe, np.zeros(3), covariance)
+
+    def has_point_map(self, keyframe: int) -> bool:
+        """Return True if the points of a keyframe have been added as a body, see `add_point_map`."""
+        key = P(keyframe)
+        return bool(self.additions.values.exists(key) or self.solver.isam.valueExists(key))
 
     def add_matches(self, matches: Iterable[Factor]) -> None:
         """Add `matches` of another graph; see there. Their keyframes must have been added."""

@@ -18,6 +18,7 @@ from ..matching.distance_field import DistanceField
 from ..matching.offset_tiles import FIELD_CELL
 from ..matching.scan_features import ScanFeatures
 from .field_successor import FieldSuccessor, FieldSuccessorState
+from .match_target import points_of
 
 # Metres from the middle of the field at which its successor is begun. Origin: chosen, a small part of its half width;
 # not measured.
@@ -143,7 +144,7 @@ class LocalField:
         if undetermined > 0.0:
             self._gaps[len(self._points)] = MAX_PATH * min(1.0, undetermined)
             self._may_have_far = True
-        self._points.append(scan.surface_points().astype(np.float32))
+        self._points.append(points_of(scan).astype(np.float32))
 
     def ways(self, travelled: Sequence[float]) -> Floats:
         """Return the metres (k,) driven up to each keyframe, with what is undetermined of the way; see `add`."""

@@ -77,13 +77,14 @@ class RelativeScanMatch:
     """Scan match: pose `relative` of a new keyframe in the frame of the points of an earlier one, `start`.
 
     covariance        (3, 3) in the new keyframe's frame, of the noise of its own scan
-    start_covariance  (3, 3) in the earlier keyframe's frame, of the noise of that keyframe's scan
+    start_covariance  (3, 3) in the earlier keyframe's frame, of the noise of that keyframe's scan; None if the graph
+                      has it already
     """
 
     start: int
     relative: se2.Pose
     covariance: Floats
-    start_covariance: Floats
+    start_covariance: Floats | None
 
 
 @dataclass(frozen=True, slots=True)

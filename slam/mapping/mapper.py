@@ -195,7 +195,8 @@ class Mapper(MappedKeyframes):
 
     def add_scan_match(self, match: RelativeScanMatch) -> None:
         """Add a scan match of the last keyframe with an earlier one. Takes effect with the graph's next update."""
-        self.graph.add_point_map(match.start, match.start_covariance)
+        if match.start_covariance is not None:
+            self.graph.add_point_map(match.start, match.start_covariance)
         self.graph.add_scan_match(match.start, self.keyframe_count - 1, match.relative, match.covariance)
 
     @property

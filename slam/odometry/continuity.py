@@ -8,6 +8,7 @@ odometry with the scans, handles slips. But a motion of kilometres exceeds what 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -89,8 +90,9 @@ def _travel(first: Odometry, second: Odometry) -> float:
 
 def _jump(last: Odometry, reading: Odometry) -> str | None:
     """Return why a robot can hardly have moved from a reading to the next one, as text; None if it can."""
-    distance = float(np.hypot(*(reading.pose - last.pose)[:2]))
+    x, y, heading = reading.pose.tolist()
+    distance = math.hypot(x - last.pose[0], y - last.pose[1])
     if distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * (reading.stamp - last.stamp)):
         return JUMPED
-    is_zero = bool((np.abs(reading.pose) < ZERO).all())
+    is_zero = abs(x) < ZERO and abs(y) < ZERO and abs(heading) < ZERO
     return RESTARTED if is_zero and _travel(last, reading) > MIN_RESTART else None

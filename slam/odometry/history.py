@@ -176,6 +176,9 @@ class OdometryHistory:
 
 def wheel_travel(motion: se2.Pose) -> Floats:
     """Return (...,) the metres that the wheels roll in motions (..., 3): the length, plus a share for turning."""
+    if motion.ndim == 1:  # in a third of the time; the absolute value of a complex number is C's hypot, as NumPy's is
+        x, y, turn = motion.tolist()
+        return np.asarray(abs(complex(x, y)) + TRAVEL_PER_RADIAN * abs(turn))
     return np.asarray(np.hypot(motion[..., 0], motion[..., 1]) + TRAVEL_PER_RADIAN * np.abs(motion[..., 2]))
 
 

@@ -13,13 +13,13 @@ SEGMENT_NUMBERS, CORNER_NUMBERS, SWEEP_NUMBERS = 10, 10, 9
 
 
 class PackedFeatures:
-    """Features of a scan in little memory. The points are shared: `ScanPoints` are small already."""
+    """Features of a scan in little memory. The `points` are shared: `ScanPoints` are small already."""
 
-    __slots__ = ("_numbers", "_points", "_segment_count")
+    __slots__ = ("_numbers", "_segment_count", "points")
 
     def __init__(self, features: ScanFeatures) -> None:
         segments, corners = features.segments, features.corners
-        self._segment_count, self._points = len(segments), features.points
+        self._segment_count, self.points = len(segments), features.points
         arrays = (
             segments.frame, segments.half_length, segments.covariance, segments.bias_slope,
             corners.position, corners.covariance, corners.segments, corners.headings,
@@ -44,4 +44,4 @@ class PackedFeatures:
             of_corners[6 * m : 8 * m].reshape(m, 2).astype(np.int64),
             of_corners[8 * m :].reshape(m, 2),
         )
-        return ScanFeatures(segments, corners, self._points, numbers[-SWEEP_NUMBERS:].reshape(3, 3))
+        return ScanFeatures(segments, corners, self.points, numbers[-SWEEP_NUMBERS:].reshape(3, 3))

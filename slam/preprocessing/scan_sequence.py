@@ -108,6 +108,11 @@ class ScanSequence(Sequence[ProcessedScan]):
         packed = self._features.get(row)
         return NO_FEATURES if packed is None else packed.unpack()
 
+    def points(self, row: int) -> Floats:
+        """Return the points (p, 2) of a scan in the base's frame, metres; none if its features are not there."""
+        packed = self._features.get(row)
+        return (NO_FEATURES if packed is None else packed).points.xy
+
     def _is_measured(self, row: int) -> bool:
         place = bisect.bisect_left(self._unmeasured, row)
         return self._unmeasured[place : place + 1] != [row]

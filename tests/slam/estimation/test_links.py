@@ -52,7 +52,7 @@ def link(error: Floats) -> tuple[bool, list[RelativeScanMatch]]:
         covariances=covariances,
         landmarks=SimpleNamespace(parts=parts),
         add_scan_match=motions.append,
-        graph=SimpleNamespace(update_until_converged=lambda: None),
+        graph=SimpleNamespace(has_point_map=lambda _: False, update_until_converged=lambda: None),
         read_back_all=lambda: None,
     )
     model = SimpleNamespace(limit_information=lambda information, travel: information)
