@@ -1,4 +1,4 @@
-"""Pose of the base now: that of the last scan, extrapolated by odometry, or by an even motion while odometry is failing.
+"""Pose of the base now: that of the last scan, extrapolated by odometry, or by an even motion if odometry is failing.
 
 It is output only, and never enters the estimate.
 """
@@ -92,8 +92,8 @@ class PoseExtrapolator:
         Ad(T)^-1 P Ad(T)^-T + Q,
 
     where P is the covariance of the scan's pose, whose errors are those of the last keyframe, and Q that of the motion
-    by the error model. On a map that does not change, P is the covariance of the pose in it. While odometry fails, T
-    and Q are those of a robot that moves on as it did, and stops after STEADY_SECONDS without a scan. `at` may be
+    by the error model. On a map that does not change, P is the covariance of the pose in it. While odometry is failing,
+    T and Q are those of a robot that moves on as it did, and stops after STEADY_SECONDS without a scan. `at` may be
     called from any thread.
 
     delay  seconds by which the lidar's stamps are late against odometry's

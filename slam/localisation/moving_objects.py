@@ -5,7 +5,8 @@ position, so a scan fits best where the robot stands beside a person who stands,
 drives. An object that is small enough to move fits as a whole or not at all, so that it has moved is one event, which
 costs MOVED_COST. Objects move in all directions, so two of them rarely look as if the robot had moved instead: each
 further one costs COINCIDENCE_COST as well. Odometry is right if the scan without these objects agrees with it and costs
-less, with these costs, than the whole scan where odometry must have slipped.
+less, with these costs, than the whole scan where odometry must have slipped. People may walk with the robot for any
+time, so odometry does not count as failing if only some small objects contradict it.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ class OdometryComparison:
         self._start: PoseFix | None = None  # of the present comparison; None before the next fix
         self._velocity = VelocityFilter()  # at the start
         self._seconds = 0.0  # since then
-        self._undetermined = 0.0  # seconds since the scans last determined whether odometry fails
+        self._undetermined = 0.0  # seconds in which neither the scans nor a contradiction told if odometry fails
 
     @property
     def failing(self) -> bool:

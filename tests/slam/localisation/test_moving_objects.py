@@ -104,6 +104,11 @@ def test_segments_and_corners_of_removed_points_are_removed() -> None:
     assert np.array_equal(rest.points.xy, scan.points.xy[80:])
 
 
+def test_odometry_does_not_count_as_failing_beside_people_who_walk_with_the_robot() -> None:
+    """Without odometry, the robot would stand beside people who keep their distance, in a corridor without doors."""
+    assert _error_beside_people(8) < 0.1
+
+
 @pytest.mark.slow
 def test_people_who_walk_with_the_robot_do_not_shorten_a_corridor() -> None:
     """The end of the path is as far away as odometry says, which errs by 1 to 2 % of the distance driven.
