@@ -16,15 +16,13 @@ from itertools import combinations
 import numpy as np
 
 from ..geometry.segments import Floats
-from ..mapping.wall_cells import MIN_GAP_BETWEEN_PIECES
 from .outlines import CORNER_MARGIN, MAX_BRIDGE, crossing
 from .rooms import Room
 from .wall_map import WallMap
 
-# Metres of the narrowest opening: narrower gaps do not divide a wall.
-MIN_WIDTH = MIN_GAP_BETWEEN_PIECES
-# Metres of the widest opening. Origin: chosen, the width of a corridor that leaves another one; not measured.
-MAX_WIDTH = 4.0
+# Metres of the narrowest and of the widest opening. Origin: chosen, as MIN_GAP_BETWEEN_PIECES, and the width of a
+# corridor that leaves another one; not measured.
+MIN_WIDTH, MAX_WIDTH = 0.5, 4.0
 # Metres of the widest door. Origin: chosen, a double door, as for the outlines of rooms; not measured.
 MAX_DOOR = MAX_BRIDGE
 # Metres across, and sine of the angle, by which two pieces on one line may differ. Origin: chosen, a skirting board,
@@ -37,7 +35,7 @@ MAX_THICKNESS = 0.6
 # were not seen (Intel).
 JAMB_TOLERANCE = 0.25
 # Share of the wider gap that both faces must have in common. Origin: chosen; not measured.
-MIN_COMMON_SHARE = 0.5
+MIN_SHARED = 0.5
 # Metres at each end of a gap that a wall may reach into: the jamb. Origin: chosen, half of what a wall may reach beyond
 # a corner.
 JAMB_MARGIN = 0.5 * CORNER_MARGIN
@@ -145,7 +143,7 @@ def _join_gaps(wall_map: WallMap, gaps: Sequence[_Gap]) -> list[_Gap]:
     shared = np.array([[_shared(wall_map, first, second) for second in gaps] for first in gaps])
     from scipy.sparse.csgraph import connected_components  # only here: most maps are not measured
 
-    count, group = connected_components(shared.reshape(len(gaps), len(gaps)) >= MIN_COMMON_SHARE, directed=False)
+    count, group = connected_components(shared.reshape(len(gaps), len(gaps)) >= MIN_SHARED, directed=False)
     groups = [[gap for gap, number in zip(gaps, group, strict=True) if number == k] for k in range(count)]
     joined = [_joined(wall_map, members) for members in groups]
     return [gap for gap in joined if gap.driven or gap.two_faced]

@@ -20,17 +20,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from features.corner import MIN_SINE
-
 from ..geometry.segments import Floats, Integers
-from ..mapping.wall_cells import WALL_CELL
+from ..geometry.wall_intersection import MIN_SINE
 from .wall_map import WallMap
 
 # Metres of an outline that may be unobserved between two walls. Origin: chosen, a double door, or a cupboard in a
 # corner; not measured.
 MAX_BRIDGE = 2.0
 # Metres by which a wall may reach beyond a corner, or end before it. Origin: chosen, three cells of a wall's coverage.
-CORNER_MARGIN = 3.0 * WALL_CELL
+CORNER_MARGIN = 0.3
 # Metres of the longest step between two walls whose lines do not meet there. Origin: chosen, the depth of furniture
 # and the distance of an open door leaf from the wall beside it; not measured.
 MAX_STEP = 0.6
@@ -41,7 +39,7 @@ STEP_COST = CORNER_MARGIN
 MIN_JUNCTION_SINE = 0.5
 # Metres between two places at which a wall is divided. Origin: geometry, half a cell of a wall's coverage; less
 # than the thickness of a wall between two rooms.
-MIN_CUT_SPACING = 0.5 * WALL_CELL
+MIN_CUT_SPACING = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)

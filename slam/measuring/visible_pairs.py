@@ -1,18 +1,21 @@
-"""Pairs of parallel walls with nothing in between: widths of rooms and corridors, and thicknesses of walls.
-
-Rays across a wall, one in each of its cells, show what is opposite. They begin MAX_DEPTH from its line: a door frame or
-a ledge of the same wall is nearer.
-"""
+"""Pairs of parallel walls with nothing in between: widths of rooms and corridors, and thicknesses of walls."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..geometry.segments import Floats, Integers
-from ..mapping.overlap_suppression import MAX_DEPTH
-from ..mapping.wall_cells import MIN_GAP_BETWEEN_PIECES, WALL_CELL
 from .measurement import Kind, Measurement, are_parallel, measure_distance
 from .wall_map import WallMap
+
+# Metres between the places along a wall from which other walls are looked for. Origin: chosen, the length of the cells
+# that a wall's coverage consists of.
+SAMPLE_SPACING = 0.1
+# Metres along which two walls must be next to each other. Origin: chosen, as MIN_GAP_BETWEEN_PIECES; not measured.
+MIN_SHARED = 0.5
+# Metres before or behind a wall at which the search begins: a door frame or a ledge of the same wall is nearer.
+# Origin: chosen, as MAX_DEPTH of the suppression of overlapping walls.
+MIN_DISTANCE = 0.05
 
 
 def measure_pairs(wall_map: WallMap) -> list[Measurement]:
@@ -26,7 +29,7 @@ def measure_pairs(wall_map: WallMap) -> list[Measurement]:
             for other in np.unique(hit[hit > row]).tolist():
                 along = samples[hit == other]
                 opposite = float(wall_map.normal(row) @ wall_map.normal(other)) < 0.0
-                long_enough = len(along) * WALL_CELL >= MIN_GAP_BETWEEN_PIECES
+                long_enough = len(along) * SAMPLE_SPACING >= MIN_SHARED
                 if opposite and long_enough and are_parallel(wall_map, row, other):
                     found.append(measure_distance(wall_map, row, other, kind, float(np.median(along))))
     return found
@@ -34,7 +37,7 @@ def measure_pairs(wall_map: WallMap) -> list[Measurement]:
 
 def _samples(pieces: Floats) -> Floats:
     """Return places along the pieces (k, 2) of a wall, metres from its frame."""
-    counts = np.maximum(np.round((pieces[:, 1] - pieces[:, 0]) / WALL_CELL), 1).astype(int)
+    counts = np.maximum(np.round((pieces[:, 1] - pieces[:, 0]) / SAMPLE_SPACING), 1).astype(int)
     parts = [low + (high - low) * (np.arange(n) + 0.5) / n for (low, high), n in zip(pieces, counts, strict=True)]
     return np.concatenate(parts)
 
@@ -62,6 +65,6 @@ def _first_walls(
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (samples[:, None] - along[None, :, 0]) / span
         depth = ahead[:, 0] + share * (ahead[:, 1] - ahead[:, 0])
-    depth = np.where((share >= 0.0) & (share <= 1.0) & (depth > MAX_DEPTH), depth, np.inf)
+    depth = np.where((share >= 0.0) & (share <= 1.0) & (depth > MIN_DISTANCE), depth, np.inf)
     nearest = depth.argmin(axis=1)
     return np.where(np.isfinite(depth[np.arange(len(samples)), nearest]), piece_wall[nearest], -1)

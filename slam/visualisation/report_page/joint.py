@@ -7,8 +7,7 @@ from base64 import b64encode
 
 import numpy as np
 
-from features.corner import MIN_SINE
-
+from ...geometry.wall_intersection import MIN_SINE
 from ...measuring.wall_map import WallMap
 
 
