@@ -42,8 +42,8 @@ MAX_SIZE = 0.8
 # Cost of odometry failing from one comparison of motions to the next. Origin: chosen, it fails for long once in ten
 # thousand comparisons, a kilometre, and that is decided by two of them.
 FAILURE_COST = 0.5 * math.log(1e4)
-# Objects that may move together with the robot for a while. Origin: chosen, a group of people around it.
-COMPANY = 5
+# Objects at most that move with the robot for a while. Origin: chosen, a group of people; not measured.
+MAX_MOVING_OBJECTS = 5
 # Metres between the points of neighbouring beams of one object. Origin: chosen, the step of a walking person.
 MAX_GAP = 0.3
 
@@ -76,8 +76,8 @@ def match_without_moving(
     return None
 
 
-def contradicts_without_company(usual: Prediction, pose: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> bool:
-    """Return True if a scan contradicts odometry even without the objects that do so most, up to COMPANY of them.
+def contradicts_without_moving(usual: Prediction, pose: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> bool:
+    """Return True if a scan contradicts odometry even without the MAX_MOVING_OBJECTS objects that do so most.
 
     People who walk with the robot contradict odometry for as long as they do so.
 
@@ -85,7 +85,7 @@ def contradicts_without_company(usual: Prediction, pose: se2.Pose, scan: ScanFea
     pose   [x, y, heading] of the base where the whole scan fits
     """
     small = _SmallObjects(scan)
-    rest = small.removed(small.by_gain(target, usual.pose, pose)[:COMPANY])
+    rest = small.removed(small.by_gain(target, usual.pose, pose)[:MAX_MOVING_OBJECTS])
     slip = Prediction(pose, information_of(PREDICTION_SIGMAS), FAILURE_COST)
     return target.match(rest, [usual, slip]).contradicts(usual)
 

@@ -8,6 +8,7 @@ its velocity, odometry is not used any more, until it agrees with the scans over
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS
-from .tracking import PoseFix
+from .tracking import CONDITIONING, PoseFix
 
 # Seconds for which a robot moves evenly: after that time it may have any velocity.
 # Origin: definition, the time in which ACCELERATIONS lead to MAX_VELOCITIES.
@@ -72,7 +73,7 @@ class OdometryComparison:
     def add(
         self,
         fix: PoseFix,
-        covariance: Floats,
+        information: Floats,
         velocity: VelocityFilter,
         seconds: float,
         model: OdometryModel,
@@ -81,19 +82,19 @@ class OdometryComparison:
     ) -> None:
         """Add the fix of a tracked scan.
 
-        A motion counts if a gross error along it would be noticed: the comparison continues until the errors of
-        predictions are small enough for that. If those of the scans are too large, as in a bare corridor, the motion is
-        not determined. After STEADY_SECONDS of that, odometry is used again: a robot may have any velocity by then. A
+        The comparison continues until a gross error of the motion would be significant, given the errors of
+        predictions. If it is not significant with those of the scans, as in a bare corridor, the scans do not determine
+        the motion. After STEADY_SECONDS of that, odometry is used again: a robot may have any velocity by then. A
         contradiction counts if it is certain, and if the robot moves evenly by the scans.
 
-        covariance        (3, 3) of the fix, by the scan alone
+        information       (3, 3) of the fix, by the scan alone
         velocity          at the fix
         seconds           since the fix before; zero if it does not count
         prediction_error  (3, 3) covariance of predictions besides that of the `model`
-        is_certain        returns True if the scan certainly contradicts a prediction by odometry
+        is_certain        returns True if a contradiction between the scan and a prediction by odometry is certain
         """
         if self._start is None:
-            self._start, self._velocity, self._seconds = fix, velocity, 0.0
+            self._begin(fix, velocity)
             return
         self._seconds += seconds
         by_odometry, by_scans = self._start.odometry_motion(fix.odometry), se2.between(self._start.pose, fix.pose)
@@ -103,10 +104,15 @@ class OdometryComparison:
         motion = model.correct(by_odometry)
         error = model.covariance(motion) + prediction_error
         gross = GROSS_SHARE * max(motion, by_scans, key=wheel_travel)
-        if not _is_noticed(gross, error):
+        if not _is_significant(gross, error):
             return
-        self._compare(by_scans, motion, gross, error + 2.0 * covariance, is_certain)
-        self._start, self._velocity, self._seconds = fix, velocity, 0.0
+        by_scan = np.asarray(inverse(information + CONDITIONING))
+        self._compare(by_scans, motion, gross, error + 2.0 * by_scan, is_certain)
+        self._begin(fix, velocity)
+
+    def _begin(self, fix: PoseFix, velocity: VelocityFilter) -> None:
+        """Begin a comparison at a fix."""
+        self._start, self._velocity, self._seconds = fix, copy(velocity), 0.0  # its arrays are replaced, not changed
 
     def _compare(
         self,
@@ -118,13 +124,13 @@ class OdometryComparison:
     ) -> None:
         """Compare a motion by the scans with that by odometry.
 
-        gross  error that would be noticed
+        gross  error of the motion, metres and radians
         error  (3, 3) covariance of the difference of both motions
         """
         assert self._start is not None
         difference = se2.between(motion, by_scans)
-        contradicts = wheel_travel(difference) > wheel_travel(gross) and _is_noticed(difference, error)
-        if not _is_noticed(gross, error):
+        contradicts = wheel_travel(difference) > wheel_travel(gross) and _is_significant(difference, error)
+        if not _is_significant(gross, error):
             self._undetermined = 0.0 if contradicts else self._undetermined + self._seconds
             if self._undetermined > STEADY_SECONDS:
                 self.contradicted_for = 0.0
@@ -138,9 +144,9 @@ class OdometryComparison:
     def _is_even(self, motion: se2.Pose) -> bool:
         """Return True if a motion since the start of the comparison continues the one before."""
         sigmas = self._velocity.deviations(self._seconds) + PREDICTION_SIGMAS
-        return not _is_noticed(se2.between(self._velocity.motion(self._seconds), motion), np.diag(sigmas**2))
+        return not _is_significant(se2.between(self._velocity.motion(self._seconds), motion), np.diag(sigmas**2))
 
 
-def _is_noticed(difference: se2.Pose, covariance: Floats) -> bool:
-    """Return True if a difference of two motions exceeds their errors, of covariance (3, 3)."""
+def _is_significant(difference: se2.Pose, covariance: Floats) -> bool:
+    """Return True if a difference of two motions is larger than its covariance (3, 3) explains."""
     return bool(difference @ inverse(covariance) @ difference > NORMAL_LIMIT**2)

@@ -180,7 +180,7 @@ class PosePredictor:
         """Keep the pose of a scan as the fix or as tentative, by its status.
 
         alternative  pose where a tentative scan fits odometry, and by how much it costs more there; None without one
-        is_certain   returns True if the scan certainly contradicts a prediction by odometry that it contradicts
+        is_certain   returns True if a contradiction between the scan and a prediction by odometry is certain
         """
         self._tentative = self._alternative = None
         if result.status is TrackingStatus.NO_FEATURES:
@@ -205,8 +205,8 @@ class PosePredictor:
             # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
             seconds = (self._since_fix or 0.0) if self._interval <= STEADY_SECONDS else 0.0
             error = self._prediction_error.covariance
-            by_scan = np.asarray(inverse(result.registration.total_information + CONDITIONING))
-            self._comparison.add(fix, by_scan, self.velocity, seconds, self.model, error, is_certain)
+            information = result.registration.total_information
+            self._comparison.add(fix, information, self._velocity, seconds, self.model, error, is_certain)
         self._slips.add(slipped=result.slipped)
         self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
 

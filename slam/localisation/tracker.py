@@ -29,7 +29,7 @@ from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
 from .match_target import MatchTarget, ScanMatch
-from .moving_objects import contradicts_without_company, match_without_moving
+from .moving_objects import contradicts_without_moving, match_without_moving
 from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
 from .prediction_error import PREDICTION_SIGMAS
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
@@ -166,7 +166,7 @@ class Tracker:
             from_tentative=match.points.prediction in from_last_tentative,
             contradicts_old_map=alone is not None,
         )
-        is_certain = partial(contradicts_without_company, pose=match.points.pose, scan=scan, target=target)
+        is_certain = partial(contradicts_without_moving, pose=match.points.pose, scan=scan, target=target)
         self._update(result, match, predictions[0], odometry, is_certain)
         return result
 

@@ -35,19 +35,24 @@ def failing(
     sigmas: Floats = SIGMAS,
     *,
     is_certain: bool = True,
+    speed: float | None = None,
 ) -> list[bool]:
     """Return whether odometry fails after each motion by the scans and by odometry, [x, y, heading].
 
     sigmas      (3,) standard deviations of the poses by the scans
-    is_certain  whether the scans certainly contradict odometry if they do
+    is_certain  whether contradictions between the scans and odometry are certain
+    speed       metres per second ahead, as it is estimated before each motion; None if it is not known
     """
+    velocity = VelocityFilter()
+    if speed is not None:
+        velocity = VelocityFilter(np.array([speed, 0.0, 0.0]), np.full(3, 1e-4))
     comparison, model, random = OdometryComparison(), OdometryModel(OdometryConfig()), np.random.default_rng(3)
     pose, odometry, found = np.zeros(3), np.zeros(3), []
     for by_scans, by_odometry in motions:
         pose, odometry = se2.compose(pose, by_scans), se2.compose(odometry, by_odometry)
         fix = PoseFix(se2.compose(pose, SIGMAS * random.standard_normal(3)), odometry)
         comparison.add(
-            fix, np.diag(sigmas**2), VelocityFilter(), period, model, np.diag(SIGMAS**2), lambda _prediction: is_certain
+            fix, np.diag(sigmas**-2), velocity, period, model, np.diag(SIGMAS**2), lambda _prediction: is_certain
         )
         found.append(comparison.failing)
     return found
@@ -65,6 +70,12 @@ def test_people_who_walk_with_the_robot_do_not_make_odometry_fail() -> None:
     assert not any(failing([(0.0 * STEP, STEP)] * 100, is_certain=False))
 
 
+def test_a_motion_that_no_robot_makes_does_not_make_odometry_fail() -> None:
+    backwards = [(-10.0 * STEP, STEP)] * 60
+    assert not any(failing(backwards, speed=0.5))
+    assert failing(backwards, speed=-5.0)[-1]
+
+
 def test_scans_that_do_not_determine_the_motion_neither_contradict_nor_agree() -> None:
     assert not any(failing([(0.0 * STEP, STEP)] * 100, sigmas=CORRIDOR))
 
@@ -73,7 +84,7 @@ def test_odometry_is_used_again_where_nothing_else_determines_the_motion() -> No
     comparison, model, found = OdometryComparison(STEADY_SECONDS), OdometryModel(OdometryConfig()), list[bool]()
     for k in range(20):
         fix, velocity = PoseFix(k * STEP, k * STEP), VelocityFilter()
-        comparison.add(fix, np.diag(CORRIDOR**2), velocity, PERIOD, model, np.diag(SIGMAS**2), certain)
+        comparison.add(fix, np.diag(CORRIDOR**-2), velocity, PERIOD, model, np.diag(SIGMAS**2), certain)
         found.append(comparison.failing)
     assert STEADY_SECONDS <= found.index(False) * PERIOD < STEADY_SECONDS + 0.4
 
@@ -101,7 +112,7 @@ def test_a_correction_of_the_map_is_no_motion() -> None:
     pose, fix = np.zeros(3), PoseFix(np.zeros(3), np.zeros(3))
     for k in range(60):
         pose, fix = se2.compose(fix.pose, STEP), PoseFix(se2.compose(fix.pose, STEP), k * STEP)
-        comparison.add(fix, np.diag(SIGMAS**2), VelocityFilter(), PERIOD, model, np.diag(SIGMAS**2), certain)
+        comparison.add(fix, np.diag(SIGMAS**-2), VelocityFilter(), PERIOD, model, np.diag(SIGMAS**2), certain)
         if k % 3 == 0:  # a loop is closed
             correction = np.array([0.8, -0.5, 0.2])
             comparison.follow(correction, fix)
