@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partialmethod
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,9 @@ CONNECTION_TIMEOUT = 10.0
 """Seconds to wait for an existing scheduler."""
 WORKER_TIMEOUT = 30.0
 """Seconds to wait for its first worker."""
+ENDING_TIMEOUT = 1.0
+"""Seconds for a worker to end by itself at the end of a batch. If it still maps a recording, the batch was interrupted:
+the recording is mapped again when the batch is continued, so nothing is lost."""
 CONFIGURATION = {
     "distributed.scheduler.allowed-failures": 0,
     "distributed.scheduler.http.routes": [],
@@ -33,14 +37,17 @@ CONFIGURATION = {
 def start_local_workers(count: int) -> Iterator[Client]:
     """Start `count` processes of one thread each, reachable from this process and each other only, without a dashboard.
 
-    A killed worker is restarted; its task has failed. Leaving the context ends running tasks, after some seconds by
+    A killed worker is restarted; its task has failed. Leaving the context ends running tasks, after ENDING_TIMEOUT by
     force. Raises MissingExtraError.
     """
     require_extra("batch")
     import dask
-    from distributed import Client, LocalCluster
+    from distributed import Client, LocalCluster, Nanny
 
     from .private_comm import PROTOCOL, SECRET_KEY, new_secret, register_protocol
+
+    class ProcessOfWorker(Nanny):
+        close = partialmethod(Nanny.close, timeout=ENDING_TIMEOUT)
 
     register_protocol()
     configuration = CONFIGURATION | {SECRET_KEY: new_secret()}
@@ -49,7 +56,7 @@ def start_local_workers(count: int) -> Iterator[Client]:
             protocol=PROTOCOL,
             n_workers=count,
             threads_per_worker=1,
-            processes=True,
+            worker_class=ProcessOfWorker,
             host=LOCALHOST,
             dashboard_address=f"{LOCALHOST}:0",
             scheduler_kwargs={"dashboard": False},
