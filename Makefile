@@ -48,15 +48,15 @@ $(READY): requirements.lock pyproject.toml
 demo: $(READY)
 	$(BIN)/wclm demo --out demo --overwrite
 
-# Four processes keep two processors busy: a quarter of the time tests wait for emulated devices.
+# Three processes keep two processors busy while tests wait for emulated devices; more of them take more processor time.
 test: $(READY)
-	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not slow"
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest
 
 coverage: $(READY)
-	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not slow" --cov=slam --cov=features --cov=drivers --cov-report=term:skip-covered
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not slow" --cov=slam --cov=features --cov=drivers --cov-report=term:skip-covered
 
 fuzz: $(READY)
 	$(BIN)/python -m tests.fuzzing --inputs $(INPUTS) --shard $(SHARD)

@@ -41,7 +41,7 @@ WCLM = "from slam.cli import main; main()"
 def session(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output directory of a short run."""
     out = tmp_path_factory.mktemp("session") / "room"
-    done = CliRunner().invoke(app, ["run", "sim:room?duration=12&lidar=short", "--out", str(out)])
+    done = CliRunner().invoke(app, ["run", "sim:room?duration=5&lidar=short", "--out", str(out)])
     assert done.exit_code == 0, done.output
     return out
 

@@ -39,7 +39,7 @@ from ..robot import SLOW_LIDAR, LiveRun, Robot, wait_for
 
 pytestmark = pytest.mark.shared_run
 
-DURATION = 6.0
+DURATION = 4.5
 """Duration of the live run, seconds."""
 FIRST_KEYFRAMES = 3
 """Number of keyframes that the first viewer must exceed."""
