@@ -54,7 +54,7 @@ def office(*, wrong: bool = False) -> PlanMap:
 
 @pytest.fixture(scope="module")
 def drive() -> list[Message]:
-    return list(Simulation("office", seed=2, duration=30.0, lidar=FEW_BEAMS))
+    return list(Simulation("office", seed=2, duration=30.0))
 
 
 @pytest.fixture(scope="module")
