@@ -82,29 +82,38 @@ class Estimator:
 
     def process(self, scan: ProcessedScan, timer: StageTimer | None = None) -> ScanResult:
         """Update the state by one scan. `timer` measures the stages."""
-        timer = timer or StageTimer()
-        if self._earlier is not None and (resumed := self._test_earlier_part(scan)) is not None:
+        resumed = self._test_earlier_part(scan)
+        if resumed is not None:
             return resumed
-        on_trial = self._frozen_state is not None
+        was_on_trial = self._frozen_state is not None
+        result = self._map_scan(scan, timer or StageTimer())
+        if was_on_trial or self._frozen_state is not None:  # the map on trial is not a result
+            return replace(result, update=None, mapper=self.result.mapper)
+        return result
+
+    def _map_scan(self, scan: ProcessedScan, timer: StageTimer) -> ScanResult:
+        """Track a scan and update the map; if the pose is lost, begin a part of the map."""
         tracking = track(self.state, scan, timer)
         self._monitor.record(scan)  # before a closure, whose checkpoint includes this scan
         if tracking.fits_by_chance:
             return self._begin_part_with([scan], timer, kidnapped=True)
+        update = self._update_map(scan, tracking, timer)
+        in_plan = update is not None and self._frozen_state is None and update_by_plan(self.state, update.observations)
+        mapper = self.state.mapper
+        retracted = self._retract_contradicted_closure()
+        if self.state.lost:
+            unmeasured = self.state.may_have_been_carried or not self.state.tracker.measured
+            began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=unmeasured)
+            return replace(began, retracted=retracted)
+        return ScanResult(tracking, update, retracted, mapper, in_plan=in_plan, joined=_joined_part(update))
+
+    def _update_map(self, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate | None:
+        """Update the map by a tracked scan, and close the loop that it confirms, if any."""
         update = update_map(self.state, scan, tracking, timer)
         if update is not None and update.loop is not None and update.loop.status is LoopStatus.CONFIRMED:
             update = self._close_loop(scan, update, update.loop)
             timer.lap("closing")
-        in_plan = update is not None and self._frozen_state is None and update_by_plan(self.state, update.observations)
-        mapper, joined = self.state.mapper, _joined_part(update)
-        retracted = self._retract_contradicted_closure()
-        result = ScanResult(tracking, update, retracted, mapper, in_plan=in_plan, joined=joined)
-        if self.state.lost:
-            unmeasured = self.state.may_have_been_carried or not self.state.tracker.measured
-            began = self._begin_part_with(self.state.untracked_scans, timer, kidnapped=unmeasured)
-            result = replace(began, retracted=result.retracted)
-        if on_trial or self._frozen_state is not None:  # the map on trial is not a result
-            return replace(result, update=None, mapper=self.result.mapper)
-        return result
+        return update
 
     def place(self, pose: se2.Pose, scan: ProcessedScan) -> bool:
         """Set the base's pose in the map, roughly known, at a scan; return False if the scan does not fit near it.
@@ -162,9 +171,10 @@ class Estimator:
     def _test_earlier_part(self, scan: ProcessedScan) -> ScanResult | None:
         """Add a scan to the test of the earlier part; return to that part if it shows that the robot has not left it.
 
-        The result is None if the robot stays in the present part.
+        The result is None if the robot stays in the present part, or if there is no earlier one to test.
         """
-        assert self._earlier is not None
+        if self._earlier is None:
+            return None
         tracking = self._earlier.add(scan)
         if self._earlier.expired:
             self._earlier = None

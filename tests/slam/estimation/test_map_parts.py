@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +15,12 @@ from drivers.simulation import LidarModel, Simulation, World
 from slam import Finished, Slam
 from slam.config import Config, config_to_toml
 from slam.estimation.estimator import Estimator
+from slam.estimation.scan_update import track
 from slam.estimation.slam_state import SlamState
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
+from slam.localisation.tracking import TrackingResult
 from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.convergence import converge
@@ -289,6 +292,26 @@ def test_scans_that_are_tracked_again_at_the_beginning_of_a_part_are_no_burst() 
     assert len(intervals) == PERIOD_SAMPLES
     assert np.sort(intervals)[:-1] == pytest.approx(0.1)
     assert intervals.max() == pytest.approx(1.2)  # in which the robot was carried
+
+
+def test_the_first_keyframe_of_a_map_on_trial_is_no_result(
+    scans: list[ProcessedScan], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot is put down on a frozen map: its view has changed, although the scan fits where odometry has it."""
+    estimator, (*before, last) = Estimator(SlamState(Config())), scans[: len(scans) // 2]
+    for scan in before:
+        estimator.process(scan)
+    estimator.freeze()
+    frozen, results = estimator.state.mapper, iter([True, False])
+
+    def track_after_carrying(*arguments: Any) -> TrackingResult:
+        return replace(track(*arguments), fits_by_chance=next(results))
+
+    monkeypatch.setattr("slam.estimation.estimator.track", track_after_carrying)
+    result = estimator.process(last)
+    assert result.began_part
+    assert estimator.state.mapper.keyframe_count > frozen.keyframe_count
+    assert (result.update, result.mapper) == (None, frozen)
 
 
 def test_parts_and_searches_for_their_place_are_stored_with_a_session(
