@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost, squared_distances
-from .block_cholesky import Pattern, factorise, inverse_blocks, solve
+from .block_cholesky import factorise, inverse_blocks, solve
+from .block_pattern import Pattern
 from .factors import CAUCHY_SCALES, KEY_INDEX_BITS, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
 # Growth of a graph, in variables, up to which an order of elimination is continued. Origin: measured, after it L has a

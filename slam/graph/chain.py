@@ -8,7 +8,8 @@ from ..errors import MapError
 from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.segments import Floats
 from .array_factors import BETWEEN, PRIOR, add_normal_equations, moved, robust_cost
-from .block_cholesky import Pattern, factorise, solve
+from .block_cholesky import factorise, solve
+from .block_pattern import Pattern
 from .factors import MOTION_CAUCHY_SCALE
 
 # Damping of the first step, per square metre and square radian; it is divided by DAMPING_FACTOR after a step that

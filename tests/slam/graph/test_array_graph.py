@@ -11,7 +11,8 @@ from drivers import se2
 from slam.errors import MapError
 from slam.graph.array_factors import BETWEEN, squared_distances
 from slam.graph.array_graph import ArrayGraph
-from slam.graph.block_cholesky import Pattern, _ranks, factorise, inverse_blocks, solve
+from slam.graph.block_cholesky import factorise, inverse_blocks, solve
+from slam.graph.block_pattern import Pattern, _ranks
 from slam.graph.factor_graph import FactorGraph
 from slam.graph.factors import FactorKind, by_kind, keys_of
 from slam.graph.gtsam_factors import to_gtsam_graph
@@ -144,7 +145,7 @@ def test_a_graph_with_new_variables_is_solved_in_the_order_of_that_before(
 ) -> None:
     monkeypatch.setattr("slam.graph.array_graph.MAX_GROWTH", growth)
     orders = []
-    monkeypatch.setattr("slam.graph.block_cholesky._ranks", lambda *given: orders.append(given) or _ranks(*given))
+    monkeypatch.setattr("slam.graph.block_pattern._ranks", lambda *given: orders.append(given) or _ranks(*given))
     graph = graph_of_all_kinds(np.random.default_rng(5))
     before = graph.solver.arrays()
     before.step(before.values_of(graph.solver.estimate()), 0.0)
