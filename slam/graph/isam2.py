@@ -15,38 +15,12 @@ from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
 from .factors import Factor
 from .gtsam_factors import to_gtsam_graph
+from .gtsam_isam2 import RELINEARIZE_SKIP, THRESHOLDS, empty_isam2, rebuilt_by_qr
 from .present_solution import PresentSolution
 from .range_bias import RangeBias
 from .recent_variables import RecentVariables
 
 Answer = TypeVar("Answer")
-
-# Change of a variable beyond which it is relinearised: metres along its axes and radians. Factors are linear in
-# positions but not in headings, so the threshold on the heading is the small one. A wall's frame may slide along it.
-# Origin: measured, a quarter less time than 0.05 m and rad on every axis, with no worse results.
-RELINEARIZE_POSE = np.array([0.2, 0.2, 0.02])
-# The same for a wall's frame (along, across, heading). Origin: measured, as RELINEARIZE_POSE.
-RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
-# Metres; the same for a corner. Origin: measured, as RELINEARIZE_POSE.
-RELINEARIZE_CORNER = np.array([0.2, 0.2])
-# The same by the characters of the variables' keys.
-THRESHOLDS = {"x": RELINEARIZE_POSE, "p": RELINEARIZE_POSE, "l": RELINEARIZE_WALL, "c": RELINEARIZE_CORNER}
-# Updates, each with some keyframes, from one relinearisation to the next. Origin: measured, on a recording of 1900
-# keyframes: with every tenth, online poses differ three times as much from those of solving at each keyframe, for 6 %
-# less time.
-RELINEARIZE_SKIP = 3
-
-
-def _isam2(*, qr: bool) -> gtsam.ISAM2:
-    """Return an empty iSAM2 with this module's parameters."""
-    parameters = gtsam.ISAM2Params()
-    thresholds = gtsam.ISAM2ThresholdMap()
-    for symbol, threshold in THRESHOLDS.items():
-        thresholds.insert((symbol, threshold))
-    parameters.setRelinearizeThreshold(thresholds)
-    parameters.relinearizeSkip = RELINEARIZE_SKIP
-    parameters.setFactorization("QR" if qr else "CHOLESKY")
-    return gtsam.ISAM2(parameters)
 
 
 class IncrementalSolver:
@@ -62,7 +36,7 @@ class IncrementalSolver:
     """
 
     def __init__(self, *, qr: bool = False) -> None:
-        self._isam: gtsam.ISAM2 | None = _isam2(qr=qr)
+        self._isam: gtsam.ISAM2 | None = empty_isam2(qr=qr)
         self._dismissed: gtsam.Values | None = None  # linearisation point of an iSAM2 that was dismissed
         self.batch: BatchSolution | None = None
         self.factors: dict[int, Factor] = {}
@@ -82,7 +56,7 @@ class IncrementalSolver:
 
     def reset(self) -> None:
         """Remove all factors and variables."""
-        self._isam, self._dismissed, self.batch = _isam2(qr=self.qr), None, None
+        self._isam, self._dismissed, self.batch = empty_isam2(qr=self.qr), None, None
         self.factors, self.updates = {}, 0
         self._recent.forget()
         self._present.forget()
@@ -325,18 +299,11 @@ class IncrementalSolver:
         reason = f"the map cannot be estimated: {first_line(failure)}"
         if self.qr:
             raise MapError(reason) from failure
-        self.qr = True
-        slots, values = self.isam.getFactorsUnsafe(), self.isam.getLinearizationPoint()
-        factors, renumbered = gtsam.NonlinearFactorGraph(), {}
-        for number in range(slots.size()):
-            if slots.at(number) is not None:  # removed factors leave an empty slot
-                renumbered[number] = factors.size()
-                factors.add(slots.at(number))
-        self._isam, self.updates = _isam2(qr=True), 1
         try:
-            self.isam.update(factors, values)
+            self._isam, renumbered = rebuilt_by_qr(self.isam)
         except RuntimeError as error:
             raise MapError(reason) from error
+        self.qr, self.updates = True, 1
         if not all(np.isfinite(self.isam.marginalCovariance(key)).all() for key in new_keys):
             raise MapError(reason) from failure
         self.factors = {renumbered[number]: factor for number, factor in self.factors.items()}

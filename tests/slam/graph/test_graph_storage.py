@@ -6,7 +6,7 @@ import pytest
 from drivers import se2
 from slam.graph.factor_graph import FactorGraph
 from slam.graph.graph_storage import graph_state, restore_graph
-from slam.graph.isam2 import RELINEARIZE_SKIP
+from slam.graph.gtsam_isam2 import RELINEARIZE_SKIP
 
 MOTION, COVARIANCE = np.array([1.0, 0.1, 0.2]), np.diag([1e-4, 1e-4, 1e-5])
 WRONG_TURN = np.array([0.0, 0.0, 0.3])
