@@ -7,12 +7,9 @@ import math
 import numpy as np
 
 from .compiled import compiled
+from .corner_angle import MIN_SINE
 from .line_fit import LineFit
 from .types import Floats
-
-# Sine of the smallest angle between two walls that form a corner; the corner's variance grows as 1/sin^2.
-# Origin: chosen, 11.5 degrees; not measured.
-MIN_SINE = 0.2
 
 
 @compiled

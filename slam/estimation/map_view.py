@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from features.corner_angle import MIN_SINE
+
 from ..events import Finished
 from ..geometry.segments import Floats, Integers
-from ..geometry.wall_intersection import MIN_SINE, intersect_walls
+from ..geometry.wall_intersection import intersect_walls
 from ..graph.graph_estimate import Marginals
 from ..mapping.drift_covariance import DriftCovariance
 from ..mapping.landmarks import Landmarks

@@ -8,11 +8,6 @@ from drivers import se2
 
 from .segments import Floats
 
-# Sine of the angle between two walls below which their intersection is too uncertain to be a corner.
-# Origin: definition, that of `features.corner`, which is not imported here: reports and drawings load in a third of the
-# time without it.
-MIN_SINE = 0.2
-
 
 def intersect_walls(first: se2.Pose, second: se2.Pose) -> tuple[Floats, Floats]:
     """Return the intersection (..., 2) of two walls, given their frames (..., 3), and its Jacobian (..., 2, 4) by

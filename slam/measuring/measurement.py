@@ -13,9 +13,9 @@ from enum import StrEnum
 import numpy as np
 
 from drivers import se2
+from features.corner_angle import MIN_SINE
 
 from ..geometry.segments import Floats
-from ..geometry.wall_intersection import MIN_SINE
 from .wall_map import WallMap
 
 

@@ -20,8 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from features.corner_angle import MIN_SINE
+
 from ..geometry.segments import Floats, Integers
-from ..geometry.wall_intersection import MIN_SINE
 from .wall_map import WallMap
 
 # Metres of an outline that may be unobserved between two walls. Origin: chosen, a double door, or a cupboard in a

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
+from features.corner_angle import MIN_SINE
 
 from ...geometry.segments import Floats
-from ...geometry.wall_intersection import MIN_SINE
 from ...mapping.sight_lines import END_MARGIN_CELLS
 from ...mapping.wall_cells import WALL_CELL
 from ...measuring.wall_map import WallGeometry

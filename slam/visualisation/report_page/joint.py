@@ -7,7 +7,8 @@ from base64 import b64encode
 
 import numpy as np
 
-from ...geometry.wall_intersection import MIN_SINE
+from features.corner_angle import MIN_SINE
+
 from ...measuring.wall_map import WallMap
 
 

@@ -13,7 +13,8 @@ import numpy as np
 from drivers.simulation import World, load_world
 from drivers.simulation.raycast import cast_beams
 from features import Noise, arras_siegwart
-from features.corner import MIN_SINE, intersect
+from features.corner import intersect
+from features.corner_angle import MIN_SINE
 
 from ....geometry.segments import Floats, Integers
 
