@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-MINUTE, HOUR = 60, 3600
+from drivers.elapsed import HOUR, MINUTE
 
 
 def duration(seconds: float) -> str:

@@ -24,11 +24,11 @@ from ..measurements import (
     StructuredArray,
     to_counter_clockwise,
 )
+from .standard import TURN_Q6
 
 SYNC_MARKS = ((0xF0, 0xA0), (0xF0, 0x50))
 RESET_FLAG = 0x8000
 """Bit of the start angle: first capsule after the start, or reset of the angle. It does not mark a new revolution."""
-TURN_Q6 = 360 * 64
 MAX_ROTATION_RATE = 50.0
 """Revolutions per second that no RPLIDAR reaches (they turn 5 to 20 times): a larger step means that capsules in
 between were lost, or that the head seemed to turn back.

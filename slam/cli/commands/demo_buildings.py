@@ -18,8 +18,6 @@ OFFICE_CHANGES = ("moved-20cm", "added", "closed-doors")
 """Changes of the office between two drives, of those in `slam.evaluation.benchmarks.map_changes`."""
 OFFICE_SEEDS = 1, 2
 """Seeds of the two drives."""
-WRONG_SHARE = 0.1
-"""Share of the walls that are elsewhere in the plan of the office."""
 MISSING_BOXES = 2
 """Pieces of furniture that are not in the plan of the office."""
 
@@ -51,7 +49,7 @@ def draw_office_plan(map_recording: MapRecording, directory: Path, scratch: Path
     from drivers.simulation import Simulation, build_world
 
     from ...evaluation.benchmarks.map_changes import office
-    from ...evaluation.benchmarks.plans import displace_walls, plan_of
+    from ...evaluation.benchmarks.plans import WRONG_SHARE, displace_walls, plan_of
 
     content = office()
     drawn, _ = displace_walls(content, WRONG_SHARE, OFFICE_SEEDS[0])

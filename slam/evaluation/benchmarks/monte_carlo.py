@@ -9,6 +9,7 @@ import numpy as np
 from features import ESTIMATORS, LineFit, Noise
 from features.conversions import covariance_through, polar_of_uv
 
+from ...geometry.chi_square import chi_square_quantile
 from ...geometry.segments import Floats
 
 TRIALS = 3000
@@ -16,7 +17,7 @@ NOISE = Noise(sigma_range=0.02, sigma_bearing=float(np.radians(0.1)))
 BEAM_SPACING = float(np.radians(0.5))
 """Between neighbouring rays, radians."""
 FIT, CORNER, _ = ESTIMATORS["wclm-ml"]
-CHI2_95 = 5.991
+CHI2_95 = chi_square_quantile(0.95, 2)
 """Chi-square, 2 degrees of freedom, 95 %."""
 
 

@@ -24,15 +24,12 @@ from ...errors import MapError
 from ...events import Finished
 from ...geometry.segments import Floats
 from ...graph.factors import FactorKind
-from ...graph.wall_correlation import whitened_residuals
+from ...graph.wall_correlation import MAX_LAG, whitened_residuals
 from ...io.tum import Trajectory
 from ...mapping.mapper import Mapper
 from ...pipeline import Slam
 from .map_comparison import MapComparison, compare_maps
 from .relocalisation import split_halves
-
-MAX_LAG = 15
-"""Observations of a wall between two residuals whose correlation is counted, at most."""
 
 
 @dataclass(frozen=True, slots=True)

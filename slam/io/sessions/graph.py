@@ -16,7 +16,7 @@ from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...graph.factors import Factor, FactorKind, GraphState
-from .tables import TableReader, are_covariances, to_ragged, write_table
+from .tables import POSE_COLUMNS, TableReader, are_covariances, to_ragged, write_table
 
 MEASUREMENT_SIZES = {FactorKind.CORNER: 2, FactorKind.WALL_OFFSET: 4}
 """Length of a factor's measurement, if it is not a pose (3)."""
@@ -105,7 +105,7 @@ def write_variables(file: Path, state: GraphState) -> None:
     values = np.concatenate([state.keyframes, state.frames, corners, state.point_map_poses])
     ids = np.concatenate([np.arange(counts[0]), state.walls, state.corners, state.point_maps])
     kinds = np.repeat([KEYFRAME, WALL, CORNER, POINT_MAP], counts).tolist()
-    columns = {name: values[:, k] for k, name in enumerate(("x", "y", "heading"))}
+    columns = {name: values[:, k] for k, name in enumerate(POSE_COLUMNS)}
     write_table(file, {"kind": kinds, "id": ids.astype(np.int32), **columns})
 
 
@@ -120,7 +120,7 @@ def read_graph(
         raise MapError(f"{variables}: {waiting} of {len(factors)} factors cannot be waiting")
     table = TableReader(variables)
     kinds, ids = np.array(table.strings("kind"), dtype=str), table.integers("id")
-    values = table.floats("x", "y", "heading")
+    values = table.floats(*POSE_COLUMNS)
     keyframes, walls, corners, point_maps = (kinds == kind for kind in (KEYFRAME, WALL, CORNER, POINT_MAP))
     if not np.array_equal(ids[keyframes], np.arange(keyframes.sum())):
         raise MapError(f"{variables}: the keyframes are not in order")

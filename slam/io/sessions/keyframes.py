@@ -11,10 +11,10 @@ from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...mapping.keyframes import KeyframeRecords
-from .scans import POSE_ENTRIES, UPPER_TRIANGLE, ScanRecords
-from .tables import TableReader, are_semidefinite, write_table
+from .scan_features import UPPER_TRIANGLE
+from .scans import POSE_ENTRIES, ScanRecords
+from .tables import POSE_COLUMNS, TableReader, are_semidefinite, write_table
 
-POSE_COLUMNS = ("x", "y", "heading")
 CORRELATED_DRIFT = {"correlated_drift_xx": (0, 0), "correlated_drift_xy": (0, 1), "correlated_drift_yy": (1, 1)}
 """Columns of the correlated drift's covariance (2, 2), and their row and column in it."""
 

@@ -18,7 +18,7 @@ from ...geometry.segments import Floats
 from ...mapping.landmark_table import CORNER_DTYPE, WALL_DTYPE
 from ...mapping.landmarks import Landmarks
 from ...mapping.wall_removal import FreeSpaceEvidence
-from .tables import Ragged, TableReader, are_semidefinite, to_ragged, write_table
+from .tables import POSE_COLUMNS, Ragged, TableReader, are_semidefinite, to_ragged, write_table
 
 WALL_INTEGERS = ("observations", "first_seen", "last_seen", "merged_into", "removed_at")
 CORNER_INTEGERS = ("observations", "last_seen")
@@ -47,7 +47,7 @@ def write_walls(file: Path, landmarks: Landmarks, free_space_evidence: FreeSpace
     write_table(
         file,
         {
-            **{name: rows["frame"][:, k] for k, name in enumerate(("x", "y", "heading"))},
+            **{name: rows["frame"][:, k] for k, name in enumerate(POSE_COLUMNS)},
             **{name: rows[name] for name in ("low", "high")},
             **{name: rows[name].astype(np.int32) for name in WALL_INTEGERS},
             **{name: covariance[:, k] for k, name in enumerate(WALL_COVARIANCE)},
@@ -113,7 +113,7 @@ def read_landmarks(walls: Path, corners: Path) -> Landmarks:
 
 def _read_walls(table: TableReader, file: Path) -> NDArray[np.void]:
     rows = np.zeros(len(table), WALL_DTYPE)
-    rows["frame"] = table.floats("x", "y", "heading")
+    rows["frame"] = table.floats(*POSE_COLUMNS)
     rows["low"], rows["high"] = (table.floats(name, finite=False, limit=MAX_MAGNITUDE) for name in ("low", "high"))
     for name in WALL_INTEGERS:
         rows[name] = table.integers(name)

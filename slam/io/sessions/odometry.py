@@ -12,9 +12,7 @@ from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
 from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
-from .tables import Column, TableReader, write_row_groups
-
-POSE_COLUMNS = ("x", "y", "heading")
+from .tables import POSE_COLUMNS, Column, TableReader, write_row_groups
 
 
 def write_odometry(file: Path, histories: Sequence[OdometryHistory]) -> None:

@@ -22,14 +22,22 @@ from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...matching.scan_features import ScanFeatures
 from ...preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
-from .scan_features import are_rounded_from, feature_columns, read_features, split_rows
-from .tables import Column, Ragged, TableReader, are_semidefinite, to_ragged, write_row_groups, write_table
+from .scan_features import UPPER_TRIANGLE, are_rounded_from, feature_columns, read_features, split_rows
+from .tables import (
+    POSE_COLUMNS,
+    Column,
+    Ragged,
+    TableReader,
+    are_semidefinite,
+    to_ragged,
+    write_row_groups,
+    write_table,
+)
 
 EXACT_KEYFRAMES = MAX_RECENT_SEGMENTS
 """Last keyframes whose features are stored exactly: all that are used online."""
 GROUP_ROWS = 1000
 """Scans of which the features are written at once: some megabytes."""
-UPPER_TRIANGLE = np.triu_indices(3)
 POSE_ENTRIES = ("xx", "xy", "xh", "yy", "yh", "hh")
 """Names of the upper triangle's entries of a matrix of (x, y, heading)."""
 MEASURED = "measured"
@@ -110,12 +118,12 @@ class _Values:
         begin, end = np.searchsorted(self.tracked, [rows.start, rows.stop]).tolist()
         tracked = self.tracked[begin:end] - rows.start
         columns: dict[str, NDArray[np.generic]] = {"stamp": self.stamps[some]}
-        columns |= {f"odometry_{name}": self.odometry[some, k] for k, name in enumerate(("x", "y", "heading"))}
+        columns |= {f"odometry_{name}": self.odometry[some, k] for k, name in enumerate(POSE_COLUMNS)}
         columns |= {"sweep_travel": self.travel[some], MEASURED: self.measured[some]}
         numbers = _scatter(keyframes[first:last] - rows.start, np.arange(first, last), count, -1)
         columns["keyframe"] = numbers.astype(np.int32)
         columns["anchor"] = _scatter(tracked, self.own_keyframes[begin:end], count, -1).astype(np.int32)
-        for k, name in enumerate(("x", "y", "heading")):
+        for k, name in enumerate(POSE_COLUMNS):
             columns[f"relative_{name}"] = _scatter(tracked, self.relative[begin:end, k], count, 0.0)
         for i, j, name in zip(*UPPER_TRIANGLE, POSE_ENTRIES, strict=True):
             columns[f"information_{name}"] = _scatter(tracked, self.informations[begin:end, i, j], count, 0.0)

@@ -30,6 +30,8 @@ VALUE_SIZE = 8
 """Bytes of a value in memory."""
 MAX_RATIO = 200
 """Ratio of the sizes of a table in memory and as a file. Tables of long sessions have 3 to 20."""
+POSE_COLUMNS = ("x", "y", "heading")
+"""Columns of poses, or ends of their names."""
 ROUNDING = 1e-9
 """Relative rounding error of computed covariances, with a large margin: 1e-15 occurs."""
 ALWAYS_ALLOWED = 1 << 26

@@ -12,6 +12,7 @@ import numpy as np
 from features import ESTIMATORS
 
 from ....geometry.segments import Floats
+from ..monte_carlo import CHI2_95
 from . import formulas
 from .environments import PAPER_NOISE, Environment
 from .formulas import Corner, Fit
@@ -28,8 +29,6 @@ ESTIMATOR_FUNCTIONS: dict[str, tuple[Callable[..., Any], Callable[..., tuple[Flo
 MILLIMETRES = 1e3
 UNCERTAINTY_SWEEPS = 200
 """Number of sweeps with independent noise."""
-CHI2_95 = 5.991
-"""Chi-square, 2 degrees of freedom, 95 %."""
 CLEAR = 60.0
 """Millimetres, both axes together. Only corners below it clearly show the excess of the paper's Siadat columns."""
 
