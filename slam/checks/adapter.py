@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,8 +32,8 @@ from .suspect import PARTS, UNCONSTRAINED, Suspect
 MIN_BLIND_LENGTH = 1.0
 # Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
 MAX_SEEING_SCANS = 2
-# Metres: standard deviation of the position after a stretch without a match, relative to that before it, from which on
-# it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
+# Metres: standard deviation of the positions after a stretch without a match, relative to those before it, from which
+# on it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
 MAX_BLIND_SIGMA = 0.5 * DISTINCT_SHIFT
 # Parts of the map whose times are named. Origin: chosen; more are not read.
 SHOWN_PARTS = 4
@@ -111,9 +112,9 @@ def unconstrained_stretches(
 def unmatched_stretches(
     mapper: Mapper, trajectory: TrajectoryBuilder, keyframe_stamps: Sequence[float]
 ) -> list[Suspect]:
-    """Return a suspect for each stretch whose scans match nothing, if odometry alone leaves its end uncertain.
+    """Return a suspect for each stretch whose scans match nothing, if odometry alone leaves the map behind uncertain.
 
-    `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop closed later may make the end certain.
+    `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop closed later may make it certain.
     """
     stamps, poses = trajectory.at_scans(mapper.keyframe_poses)
     unmatched = np.flatnonzero(~trajectory.relative_poses()[3].any(axis=(1, 2)))
@@ -130,16 +131,34 @@ def unmatched_stretches(
             continue
         # without the correlated drift, which a closed loop does not reduce
         covariance = mapper.graph.relative_covariance(before, after)
-        sigma = position_sigma(covariance)
+        shift, turn = position_sigma(covariance), float(np.sqrt(covariance[2, 2]))
+        sigma = math.hypot(shift, _displacement_by_turn(mapper, before, after, turn))
         if sigma > MAX_BLIND_SIGMA:
-            turn = float(np.degrees(np.sqrt(covariance[2, 2])))
             text = (
                 f"for {length:.1f} m the scans show nothing that was mapped: what is mapped afterwards is placed by "
-                f"odometry only (standard deviations {sigma:.2f} m and {turn:.1f} degrees)"
+                f"odometry only (standard deviations {shift:.2f} m and {np.degrees(turn):.1f} degrees)"
             )
             position = poses[group[0], :2].copy()
             suspects.append(Suspect(UNCONSTRAINED, first, first, last, position, sigma / MAX_BLIND_SIGMA, text))
     return suspects
+
+
+def _displacement_by_turn(mapper: Mapper, before: int, after: int, turn: float) -> float:
+    """Return the standard deviation (metres) of the positions on one side of a stretch by its error of the heading.
+
+    before, after  keyframes at its ends
+    turn           standard deviation of the heading of the second one relative to the first, radians
+
+    The error turns one side of the map relative to the other, so the side of the smaller reach is meant. A loop that
+    was closed there may have made its far end certain.
+    """
+    groups = mapper.landmarks.parts.groups_of(np.arange(mapper.keyframe_count))
+    offset = mapper.keyframe_poses[:, :2] - mapper.keyframe_poses[after, :2]
+    distance = np.where(groups == groups[after], np.hypot(offset[:, 0], offset[:, 1]), 0.0)
+    ends = int(np.argmax(distance[: before + 1])), after + int(np.argmax(distance[after:]))
+    pair = (after, ends[0]) if distance[ends[0]] < distance[ends[1]] else (before, ends[1])
+    reach = float(distance[list(ends)].min())
+    return min(turn * reach, position_sigma(mapper.graph.relative_covariance(*pair)))
 
 
 def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float], start: float) -> list[Suspect]:

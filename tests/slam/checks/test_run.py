@@ -70,6 +70,16 @@ def test_a_hall_wider_than_the_range_is_reported() -> None:
         assert "placed by odometry only" in row["sentence"]
 
 
+def test_a_turn_in_a_hall_wider_than_the_range_is_reported() -> None:
+    """The end of the turn is certain to 14 cm, but the heading only to 7 degrees: 12 m farther that is 1.5 m."""
+    slam, lidar = Slam(), replace(LIDAR_MODELS["short"], rate=4.0, range_max=6.0)
+    for message in Simulation("square", 2, 40.0, lidar, WHEEL_MODELS["bad"]):
+        slam.add(message)
+    rows: Any = slam.finish().summary["suspects"]
+    (row,) = [row for row in rows if row["check"] == UNCONSTRAINED]
+    assert 19.0 < row["first"] < 22.0 < row["last"] < 24.0
+
+
 def test_a_carried_robot_is_reported() -> None:
     drive = [replace(message, stamp=START + message.stamp) for message in messages(carried=True)]
     finished, listener = run(drive)
