@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.elapsed import elapsed
@@ -112,19 +113,15 @@ def unconstrained_stretches(
 def unmatched_stretches(
     mapper: Mapper, trajectory: TrajectoryBuilder, keyframe_stamps: Sequence[float]
 ) -> list[Suspect]:
-    """Return a suspect for each stretch whose scans match nothing, if odometry alone leaves the map behind uncertain.
+    """Return a suspect for each stretch without a match, if odometry alone leaves the map behind uncertain.
 
-    `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop closed later may make it certain.
+    Its scans match nothing, or it has none. `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop
+    closed later may make the map behind certain.
     """
     stamps, poses = trajectory.at_scans(mapper.keyframe_poses)
-    unmatched = np.flatnonzero(~trajectory.relative_poses()[3].any(axis=(1, 2)))
+    is_matched = np.asarray(trajectory.relative_poses()[3].any(axis=(1, 2)))
     suspects = []
-    for group in consecutive_groups(unmatched, MAX_SEEING_SCANS):
-        first, last = float(stamps[group[0]]), float(stamps[group[-1]])
-        before = int(np.searchsorted(keyframe_stamps, first)) - 1
-        after = int(np.searchsorted(keyframe_stamps, last, side="right"))
-        if before < 0 or after >= mapper.keyframe_count:
-            continue
+    for first, last, before, after in _stretches_without_match(stamps, poses, is_matched, np.array(keyframe_stamps)):
         length = mapper.travelled[after] - mapper.travelled[before]
         one_part = np.ptp(mapper.landmarks.parts.groups_of(np.array([before, after]))) == 0
         if not one_part or length < MIN_BLIND_LENGTH:
@@ -134,13 +131,33 @@ def unmatched_stretches(
         shift, turn = position_sigma(covariance), float(np.sqrt(covariance[2, 2]))
         sigma = math.hypot(shift, _displacement_by_turn(mapper, before, after, turn))
         if sigma > MAX_BLIND_SIGMA:
+            shown = "there are no scans" if is_matched[first] else "the scans show nothing that was mapped"
             text = (
-                f"for {length:.1f} m the scans show nothing that was mapped: what is mapped afterwards is placed by "
-                f"odometry only (standard deviations {shift:.2f} m and {np.degrees(turn):.1f} degrees)"
+                f"for {length:.1f} m {shown}: what is mapped afterwards is placed by odometry only (standard "
+                f"deviations {shift:.2f} m and {np.degrees(turn):.1f} degrees)"
             )
-            position = poses[group[0], :2].copy()
-            suspects.append(Suspect(UNCONSTRAINED, first, first, last, position, sigma / MAX_BLIND_SIGMA, text))
+            times = float(stamps[first]), float(stamps[last])
+            position, weight = poses[first, :2].copy(), sigma / MAX_BLIND_SIGMA
+            suspects.append(Suspect(UNCONSTRAINED, times[0], *times, position, weight, text))
     return suspects
+
+
+def _stretches_without_match(
+    stamps: Floats, poses: Floats, is_matched: NDArray[np.bool_], keyframe_stamps: Floats
+) -> Iterator[tuple[int, int, int, int]]:
+    """Yield the stretches between scans at `poses` (n, 3) that no match determines, by time.
+
+    Yields the first and the last scan of each, and the keyframes before and after it. It begins and ends with scans
+    that match nothing, or, if MIN_BLIND_LENGTH is driven between two scans that both match, with these.
+    """
+    steps = wheel_travel(se2.between(poses[:-1], poses[1:]))
+    gaps = np.flatnonzero((steps >= MIN_BLIND_LENGTH) & is_matched[:-1] & is_matched[1:])
+    groups = consecutive_groups(np.flatnonzero(~is_matched), MAX_SEEING_SCANS)
+    for first, last in sorted([*((group[0], group[-1]) for group in groups), *((row, row + 1) for row in gaps)]):
+        before = np.searchsorted(keyframe_stamps, stamps[first], side="right" if is_matched[first] else "left") - 1
+        after = np.searchsorted(keyframe_stamps, stamps[last], side="left" if is_matched[last] else "right")
+        if before >= 0 and after < len(keyframe_stamps):
+            yield int(first), int(last), int(before), int(after)
 
 
 def _displacement_by_turn(mapper: Mapper, before: int, after: int, turn: float) -> float:

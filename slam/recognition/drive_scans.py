@@ -69,10 +69,12 @@ class DriveScans:
 def _behind_uncertain_motions(mapper: Mapper, first: int) -> Integers:
     """Return the keyframes after `first` that may be at another place than the estimate has them from the one before.
 
-    That is if an error within the limits of a normal distribution would make two places of them.
+    That is if an error within the limits of a normal distribution would make two places of them. Keyframes with which
+    the graph is not solved yet are left out.
     """
     found = []
-    for keyframe in range(first + 1, mapper.keyframe_count):
+    solved = [k for k in range(first + 1, mapper.keyframe_count) if not mapper.graph.is_waiting(k)]
+    for keyframe in solved:
         covariance = mapper.covariances.relative(keyframe - 1, keyframe)
         shift, turn = position_sigma(covariance), math.sqrt(covariance[2, 2])
         if NORMAL_LIMIT * shift > DISTINCT_SHIFT or NORMAL_LIMIT * turn > DISTINCT_TURN:
