@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,20 +144,22 @@ def unmatched_stretches(
 
 def _stretches_without_match(
     stamps: Floats, poses: Floats, is_matched: NDArray[np.bool_], keyframe_stamps: Floats
-) -> Iterator[tuple[int, int, int, int]]:
-    """Yield the stretches between scans at `poses` (n, 3) that no match determines, by time.
+) -> list[tuple[int, int, int, int]]:
+    """Return the stretches between scans at `poses` (n, 3) that no match determines, by time.
 
-    Yields the first and the last scan of each, and the keyframes before and after it. It begins and ends with scans
-    that match nothing, or, if MIN_BLIND_LENGTH is driven between two scans that both match, with these.
+    They are the first and the last scan of each, and the keyframes before and after it. Its scans match nothing, or
+    MIN_BLIND_LENGTH is driven between two scans that both match.
     """
     steps = wheel_travel(se2.between(poses[:-1], poses[1:]))
     gaps = np.flatnonzero((steps >= MIN_BLIND_LENGTH) & is_matched[:-1] & is_matched[1:])
     groups = consecutive_groups(np.flatnonzero(~is_matched), MAX_SEEING_SCANS)
-    for first, last in sorted([*((group[0], group[-1]) for group in groups), *((row, row + 1) for row in gaps)]):
+    found: dict[tuple[int, int], tuple[int, int]] = {}  # by the keyframes, since a gap may be beside a group
+    for first, last in [*((group[0], group[-1]) for group in groups), *((row, row + 1) for row in gaps)]:
         before = np.searchsorted(keyframe_stamps, stamps[first], side="right" if is_matched[first] else "left") - 1
         after = np.searchsorted(keyframe_stamps, stamps[last], side="left" if is_matched[last] else "right")
         if before >= 0 and after < len(keyframe_stamps):
-            yield int(first), int(last), int(before), int(after)
+            found.setdefault((int(before), int(after)), (int(first), int(last)))
+    return sorted((*scans, *keyframes) for keyframes, scans in found.items())
 
 
 def _displacement_by_turn(mapper: Mapper, before: int, after: int, turn: float) -> float:
