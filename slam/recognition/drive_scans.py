@@ -6,12 +6,8 @@ import math
 
 import numpy as np
 
-from features.normal_limits import NORMAL_LIMIT
-
-from ..geometry.pose_covariance import position_sigma
-from ..geometry.segments import Integers
 from ..localisation.local_field import LocalField
-from ..loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN, SUBMAP_LENGTH
+from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.mapper import Mapper
 from .map_descriptor import describe_map, express_in_frame
 from .scanned_map import ScannedDrive, SubmapScan, scan_drive, scan_submap
@@ -29,8 +25,7 @@ MAX_SEARCH_DISTANCE = 0.5 * MAX_SUBMAPS * SUBMAP_LENGTH  # Origin: as SEARCH_DIS
 class DriveScans:
     """Submaps of SUBMAP_LENGTH metres each, consecutive and without overlap; the last one may be shorter.
 
-    A submap is matched as a rigid body, so it also ends where the motion to the next keyframe is very uncertain, as
-    behind a blind stretch.
+    A submap is matched as a rigid body, so it also ends where a blind stretch cuts the way.
     """
 
     def __init__(self) -> None:
@@ -56,30 +51,13 @@ class DriveScans:
     def take(self, mapper: Mapper, local_field: LocalField, first: int) -> ScannedDrive:
         """Return the last submaps of the drive since a keyframe, to be searched for now."""
         self._searched = mapper.travelled[-1]
-        travelled = np.asarray(mapper.travelled)[first:]
-        number = np.floor((travelled - travelled[0]) / SUBMAP_LENGTH).astype(np.int64)
-        begins = (first + np.flatnonzero(np.diff(number, prepend=-1)))[-MAX_SUBMAPS:]
-        starts = np.union1d(begins, _behind_uncertain_motions(mapper, int(begins[0])))[-MAX_SUBMAPS:].tolist()
-        ends = [*starts[1:], mapper.keyframe_count]
-        spans = [range(start, end) for start, end in zip(starts, ends, strict=True)]
+        ways = local_field.ways(mapper.travelled)[first:]
+        number = np.floor((ways - ways[0]) / SUBMAP_LENGTH).astype(np.int64)
+        starts = first + np.flatnonzero(np.diff(number, prepend=-1))
+        ends = [*starts[1:].tolist(), mapper.keyframe_count]
+        spans = [range(start, end) for start, end in zip(starts.tolist(), ends, strict=True)][-MAX_SUBMAPS:]
         self._complete = {span: self._complete.get(span) or _scan(mapper, local_field, span) for span in spans[:-1]}
         return scan_drive(mapper, [*self._complete.values(), _scan(mapper, local_field, spans[-1])])
-
-
-def _behind_uncertain_motions(mapper: Mapper, first: int) -> Integers:
-    """Return the keyframes after `first` that may be at another place than the estimate has them from the one before.
-
-    That is if an error within the limits of a normal distribution would make two places of them. Keyframes with which
-    the graph is not solved yet are left out.
-    """
-    found = []
-    solved = [k for k in range(first + 1, mapper.keyframe_count) if not mapper.graph.is_waiting(k)]
-    for keyframe in solved:
-        covariance = mapper.covariances.relative(keyframe - 1, keyframe)
-        shift, turn = position_sigma(covariance), math.sqrt(covariance[2, 2])
-        if NORMAL_LIMIT * shift > DISTINCT_SHIFT or NORMAL_LIMIT * turn > DISTINCT_TURN:
-            found.append(keyframe)
-    return np.array(found, dtype=np.int64)
 
 
 def _scan(mapper: Mapper, local_field: LocalField, keyframes: range) -> SubmapScan:
