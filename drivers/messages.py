@@ -19,7 +19,8 @@ class Scan:
     """One sweep of a 2-D lidar.
 
     stamp         time of the first measured beam, seconds
-    ranges        (n,) metres; NaN for no-returns and invalid ranges
+    ranges        (n,) metres; NaN for no-returns and invalid ranges, as which those count that are less than range_min,
+                  or not less than range_max
     angles        (n,) radians in the lidar's frame, counter-clockwise, increasing
     time_offsets  (n,) seconds from the stamp to each beam; zeros if unknown. They decrease if the lidar rotates
                   clockwise

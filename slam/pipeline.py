@@ -316,6 +316,8 @@ class Slam:
         state.local_field.clear()  # frees some megabytes: no scan is matched with it any more
         state.loops.free_submaps()
         if self._extends_map:
+            if state.plan is not None:
+                state.plan.correct_drift(state.mapper, state.local_field)
             self._statistics.merged_walls += converge(state.mapper)
             settle_plan(state, journal, self._publisher)
         end = journal.scans[-1].stamp

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.elapsed import elapsed
@@ -31,8 +33,8 @@ from .suspect import PARTS, UNCONSTRAINED, Suspect
 MIN_BLIND_LENGTH = 1.0
 # Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
 MAX_SEEING_SCANS = 2
-# Metres: standard deviation of the position after a stretch without a match, relative to that before it, from which on
-# it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
+# Metres: standard deviation of the positions after a stretch without a match, relative to those before it, from which
+# on it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
 MAX_BLIND_SIGMA = 0.5 * DISTINCT_SHIFT
 # Parts of the map whose times are named. Origin: chosen; more are not read.
 SHOWN_PARTS = 4
@@ -111,35 +113,71 @@ def unconstrained_stretches(
 def unmatched_stretches(
     mapper: Mapper, trajectory: TrajectoryBuilder, keyframe_stamps: Sequence[float]
 ) -> list[Suspect]:
-    """Return a suspect for each stretch whose scans match nothing, if odometry alone leaves its end uncertain.
+    """Return a suspect for each stretch without a match, if odometry alone leaves the map behind uncertain.
 
-    `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop closed later may make the end certain.
+    Its scans match nothing, or it has none. `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop
+    closed later may make the map behind certain.
     """
     stamps, poses = trajectory.at_scans(mapper.keyframe_poses)
-    unmatched = np.flatnonzero(~trajectory.relative_poses()[3].any(axis=(1, 2)))
+    is_matched = np.asarray(trajectory.relative_poses()[3].any(axis=(1, 2)))
     suspects = []
-    for group in consecutive_groups(unmatched, MAX_SEEING_SCANS):
-        first, last = float(stamps[group[0]]), float(stamps[group[-1]])
-        before = int(np.searchsorted(keyframe_stamps, first)) - 1
-        after = int(np.searchsorted(keyframe_stamps, last, side="right"))
-        if before < 0 or after >= mapper.keyframe_count:
-            continue
+    for first, last, before, after in _stretches_without_match(stamps, poses, is_matched, np.array(keyframe_stamps)):
         length = mapper.travelled[after] - mapper.travelled[before]
         one_part = np.ptp(mapper.landmarks.parts.groups_of(np.array([before, after]))) == 0
         if not one_part or length < MIN_BLIND_LENGTH:
             continue
         # without the correlated drift, which a closed loop does not reduce
         covariance = mapper.graph.relative_covariance(before, after)
-        sigma = position_sigma(covariance)
+        shift, turn = position_sigma(covariance), float(np.sqrt(covariance[2, 2]))
+        sigma = math.hypot(shift, _displacement_by_turn(mapper, before, after, turn))
         if sigma > MAX_BLIND_SIGMA:
-            turn = float(np.degrees(np.sqrt(covariance[2, 2])))
+            shown = "there are no scans" if is_matched[first] else "the scans show nothing that was mapped"
             text = (
-                f"for {length:.1f} m the scans show nothing that was mapped: what is mapped afterwards is placed by "
-                f"odometry only (standard deviations {sigma:.2f} m and {turn:.1f} degrees)"
+                f"for {length:.1f} m {shown}: what is mapped afterwards is placed by odometry only (standard "
+                f"deviations {shift:.2f} m and {np.degrees(turn):.1f} degrees)"
             )
-            position = poses[group[0], :2].copy()
-            suspects.append(Suspect(UNCONSTRAINED, first, first, last, position, sigma / MAX_BLIND_SIGMA, text))
+            times = float(stamps[first]), float(stamps[last])
+            position, weight = poses[first, :2].copy(), sigma / MAX_BLIND_SIGMA
+            suspects.append(Suspect(UNCONSTRAINED, times[0], *times, position, weight, text))
     return suspects
+
+
+def _stretches_without_match(
+    stamps: Floats, poses: Floats, is_matched: NDArray[np.bool_], keyframe_stamps: Floats
+) -> list[tuple[int, int, int, int]]:
+    """Return the stretches between scans at `poses` (n, 3) that no match determines, by time.
+
+    They are the first and the last scan of each, and the keyframes before and after it. Its scans match nothing, or
+    MIN_BLIND_LENGTH is driven between two scans that both match.
+    """
+    steps = wheel_travel(se2.between(poses[:-1], poses[1:]))
+    gaps = np.flatnonzero((steps >= MIN_BLIND_LENGTH) & is_matched[:-1] & is_matched[1:])
+    groups = consecutive_groups(np.flatnonzero(~is_matched), MAX_SEEING_SCANS)
+    found: dict[tuple[int, int], tuple[int, int]] = {}  # by the keyframes, since a gap may be beside a group
+    for first, last in [*((group[0], group[-1]) for group in groups), *((row, row + 1) for row in gaps)]:
+        before = np.searchsorted(keyframe_stamps, stamps[first], side="right" if is_matched[first] else "left") - 1
+        after = np.searchsorted(keyframe_stamps, stamps[last], side="left" if is_matched[last] else "right")
+        if before >= 0 and after < len(keyframe_stamps):
+            found.setdefault((int(before), int(after)), (int(first), int(last)))
+    return sorted((*scans, *keyframes) for keyframes, scans in found.items())
+
+
+def _displacement_by_turn(mapper: Mapper, before: int, after: int, turn: float) -> float:
+    """Return the standard deviation (metres) of the positions on one side of a stretch by its error of the heading.
+
+    before, after  keyframes at its ends
+    turn           standard deviation of the heading of the second one relative to the first, radians
+
+    The error turns one side of the map relative to the other, so the side of the smaller reach is meant. A loop that
+    was closed there may have made its far end certain.
+    """
+    groups = mapper.landmarks.parts.groups_of(np.arange(mapper.keyframe_count))
+    offset = mapper.keyframe_poses[:, :2] - mapper.keyframe_poses[after, :2]
+    distance = np.where(groups == groups[after], np.hypot(offset[:, 0], offset[:, 1]), 0.0)
+    ends = int(np.argmax(distance[: before + 1])), after + int(np.argmax(distance[after:]))
+    pair = (after, ends[0]) if distance[ends[0]] < distance[ends[1]] else (before, ends[1])
+    reach = float(distance[list(ends)].min())
+    return min(turn * reach, position_sigma(mapper.graph.relative_covariance(*pair)))
 
 
 def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float], start: float) -> list[Suspect]:

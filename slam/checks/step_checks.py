@@ -79,6 +79,11 @@ def _text(drive: Drive, steps: Steps, k: int) -> str:
         fits = f"fit {better:.2f} there, {steps.fit[k]:.2f} where it was placed"
         return f"the scan fits the scans before it better {away} from where it was placed ({fits})"
     sigmas = math.sqrt(steps.distance[k])
+    if math.isnan(steps.fit[k]):
+        return (
+            f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma), over a motion of which "
+            "no scan shows anything: a wrong pose, wheels that slipped, or the robot was carried"
+        )
     fits = f"fit {better:.2f} at odometry's pose, {steps.fit[k]:.2f} where it was placed"
     return (
         f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma), which the scan does not "

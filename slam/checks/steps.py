@@ -2,8 +2,9 @@
 
 A step leads from one checked scan to the next. Two things speak for or against it: how well the scan fits the scans
 just before it, and how far the step departs from odometry. Both are added as logarithms of a probability: the fit times
-FIT_WEIGHT, and for odometry a Cauchy distribution, since wheels slip now and then. Steps on which odometry was missing
-or known to fail are not judged in this way.
+FIT_WEIGHT, and for odometry a Cauchy distribution, since wheels slip now and then. The scans before say nothing about a
+long step, as over a hole in the scans: odometry alone judges it. Steps on which odometry was missing or known to fail
+are not judged in this way.
 """
 
 from __future__ import annotations
@@ -50,7 +51,8 @@ MAX_STEP = 5.0
 
 @dataclass(slots=True, eq=False)
 class Steps:
-    """The n - 1 steps between n checked scans; arrays of unjudged steps are NaN or zero.
+    """The n - 1 steps between n checked scans; arrays of unjudged steps are NaN or zero, as is the fit where
+    odometry alone judges.
 
     threshold    gain above which a step is suspicious: ln of the number of steps per allowed false alarm
     error        (n - 1, 3) motion along the path relative to odometry's
@@ -89,7 +91,7 @@ def judge_steps(drive: Drive) -> Steps:
         slip=np.zeros(count),
     )
     measured = se2.between(drive.odometry[:-1], drive.odometry[1:])
-    judged = np.isfinite(distance) & (wheel_travel(measured) <= MAX_STEP)
+    continuous, short = np.isfinite(distance), wheel_travel(measured) <= MAX_STEP
     prior = _log_prior(_lasting(drive, distance))
     gross = _grossly_wrong(drive, measured, distance)
     field = DistanceRings()
@@ -97,11 +99,13 @@ def judge_steps(drive: Drive) -> Steps:
         field.add(drive.points[k], drive.poses[k])
         if k >= FIELD_SCANS:
             field.remove(drive.points[k - FIELD_SCANS], drive.poses[k - FIELD_SCANS])
-        if judged[k]:
+        if continuous[k] and short[k]:
             if drive.measured[k + 1]:
                 _judge(steps, k, drive, field, measured[k], float(prior[k]))
             if gross[k]:
                 _judge_odometry(steps, k, drive, field, measured[k])
+    alone = np.flatnonzero(continuous & ~short & drive.measured[1:])
+    steps.gain[alone], steps.alternative[alone] = -prior[alone], se2.compose(drive.poses[alone], measured[alone])
     return steps
 
 

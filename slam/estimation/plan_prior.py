@@ -68,13 +68,22 @@ class PlanPrior:
             return False
         if self.recognised:
             self._support_observed(mapper)
-            if mapper.travelled[-1] - mapper.travelled[self._last_supported] < SUBMAP_LENGTH:
+            if self._is_supported(mapper):
                 self._recognition.discard_submaps()
                 return False
         found = self._recognition.search(mapper, local_field, self._last_supported if self.recognised else None)
         if found is None:
             return False
         return self._correct(mapper, found.motion) if self.recognised else self._move_to_plan(mapper, found)
+
+    def correct_drift(self, mapper: Mapper, local_field: LocalField) -> None:
+        """Search for the robot once more at the end of a run, before the map converges, if it has left the plan."""
+        mapper.solve_waiting()
+        if not self.recognised or mapper.landmarks.parts.current_is_apart or self._is_supported(mapper):
+            return
+        found = self._recognition.find(mapper, local_field, self._last_supported)
+        if found is not None:
+            self._correct(mapper, found.motion)
 
     def settle(self, mapper: Mapper, local_field: LocalField) -> bool:
         """Test all walls of a finished map, which has converged; return False if it is not recognised in the plan."""
@@ -165,6 +174,10 @@ class PlanPrior:
         return True
 
     # --- support
+
+    def _is_supported(self, mapper: Mapper) -> bool:
+        """Return True if the robot has seen a wall that the plan supports in the last metres of driving."""
+        return mapper.travelled[-1] - mapper.travelled[self._last_supported] < SUBMAP_LENGTH
 
     def _support_observed(self, mapper: Mapper) -> None:
         """Let the plan support the walls observed since the last solution of the graph, if they agree with it."""

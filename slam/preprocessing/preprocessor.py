@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,6 +86,7 @@ class Preprocessor:
         if isinstance(message, Odometry):
             self.odometry.add(message)
             return
+        message = _within_stated_limits(message)
         self._queue.add(message)
         if message.lidar:
             self.second_scans += 1
@@ -157,3 +158,12 @@ class Preprocessor:
             stamps,
             np.array([se2.compose(self.odometry.at(middle), velocity.motion(stamp - middle)) for stamp in stamps]),
         )
+
+
+def _within_stated_limits(scan: Scan) -> Scan:
+    """Return a scan with NaN in place of the readings that are not within the limits that its sensor states.
+
+    Drivers report a no-return as the greatest range, or as a number beyond it.
+    """
+    outside = (scan.ranges < scan.range_min) | (scan.ranges >= scan.range_max)  # false for NaN
+    return replace(scan, ranges=np.where(outside, np.nan, scan.ranges)) if outside.any() else scan

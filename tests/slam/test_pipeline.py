@@ -413,3 +413,18 @@ def test_features_without_certainty_give_a_map_or_an_error_of_one_line() -> None
         for message in Simulation("room", seed=3, duration=6.0):
             slam.add(message)
         slam.finish()
+
+
+@pytest.mark.parametrize("reading", [5.0, 6.0, 0.0, -1.0, np.inf])
+def test_readings_outside_the_stated_limits_are_no_returns(reading: float) -> None:
+    """Whatever stands for a no-return, also the stated greatest range, the map is that of NaN."""
+
+    def marked(message: Message) -> Message:
+        if not isinstance(message, Scan):
+            return message
+        return replace(message, ranges=np.where(np.isnan(message.ranges), reading, message.ranges))
+
+    messages = list(Simulation("square", seed=1, duration=8.0, lidar=LidarModel(beams=180, rate=5.0, range_max=5.0)))
+    expected, found = run(messages), run([marked(message) for message in messages])
+    np.testing.assert_array_equal(found.poses, expected.poses)
+    assert len(found.walls) == len(expected.walls)

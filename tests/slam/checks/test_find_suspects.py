@@ -50,6 +50,23 @@ def test_a_wrong_turn_is_found_where_it_is(degrees: float) -> None:
     assert float(stated[1]) == pytest.approx(abs(degrees), abs=3.0)
 
 
+def test_a_wrong_pose_behind_a_hole_in_the_scans_is_found() -> None:
+    """In the hole the robot drives farther than scans can be compared: odometry alone contradicts the pose."""
+    drive = simulated_drive("office")
+    kept = (drive.stamps < 30.0) | (drive.stamps > 46.0)
+    names = "stamps", "poses", "odometry", "segment", "measured"
+    with_hole = replace(
+        drive,
+        points=[points for points, is_kept in zip(drive.points, kept, strict=True) if is_kept],
+        **{name: getattr(drive, name)[kept] for name in names},
+    )
+    behind = row_at(with_hole, 46.0)
+    assert find_suspects(with_hole) == []
+    moved = moved_from(with_hole.poses, behind, np.array([-8.0, 0.0, 0.0]))
+    found = of(PLACEMENT, find_suspects(with_path(with_hole, moved)))
+    assert [one.stamp for one in found if "no scan shows anything" in one.text] == [with_hole.stamps[behind]]
+
+
 def test_a_turn_in_a_row_of_wrong_steps_makes_one_suspect() -> None:
     drive = simulated_drive("office")
     poses = drive.poses

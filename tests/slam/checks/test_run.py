@@ -10,12 +10,12 @@ import numpy as np
 
 from drivers import se2
 from drivers.elapsed import elapsed
-from drivers.messages import GroundTruth, Message, Odometry
+from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam import Slam
 from slam.checks.suspect import UNCONSTRAINED
 from slam.cli.run_summary import SHOWN_SUSPECTS, RunResult, format_summary
-from slam.evaluation.benchmarks.scenarios.buildings import wide_hall
+from slam.evaluation.benchmarks.scenarios.buildings import random_building, wide_hall
 from slam.events import EventRecorder, Finished, SuspectFound
 from slam.offline.optimisation import optimise
 
@@ -68,6 +68,28 @@ def test_a_hall_wider_than_the_range_is_reported() -> None:
         (row,) = [row for row in rows if row["check"] == UNCONSTRAINED]
         assert 20.0 < row["first"] < 24.0 < 30.0 < row["last"] < 35.0
         assert "placed by odometry only" in row["sentence"]
+
+
+def test_a_turn_in_a_hall_wider_than_the_range_is_reported() -> None:
+    """The end of the turn is certain to 14 cm, but the heading only to 7 degrees: 12 m farther that is 1.5 m."""
+    slam, lidar = Slam(), replace(LIDAR_MODELS["short"], rate=4.0, range_max=6.0)
+    for message in Simulation("square", 2, 40.0, lidar, WHEEL_MODELS["bad"]):
+        slam.add(message)
+    rows: Any = slam.finish().summary["suspects"]
+    (row,) = [row for row in rows if row["check"] == UNCONSTRAINED]
+    assert 19.0 < row["first"] < 22.0 < row["last"] < 24.0
+
+
+def test_a_hole_in_the_scans_is_reported() -> None:
+    """The lidar is unplugged for 20 s while the robot drives into another room."""
+    slam, first, last = Slam(), 40.0, 60.0
+    for message in Simulation(random_building(434), 434, 70.0, LIDAR, WHEEL_MODELS["good"]):
+        if not (isinstance(message, Scan) and first <= message.stamp < last):
+            slam.add(message)
+    rows: Any = slam.finish().summary["suspects"]
+    (row,) = [row for row in rows if row["check"] == UNCONSTRAINED]
+    assert first - 1.0 < row["first"] < first < last < row["last"] < last + 1.0
+    assert "there are no scans" in row["sentence"]
 
 
 def test_a_carried_robot_is_reported() -> None:
