@@ -18,10 +18,9 @@ from drivers.messages import Odometry
 from .events import Event, KeyframeAdded, ScanTracked, StateChanged
 from .geometry.pose_covariance import covariance_after
 from .geometry.segments import Floats
-from .localisation.odometry_comparison import STEADY_SECONDS
 from .localisation.state import LocalisationStatus
 from .odometry.error_model import OdometryModel
-from .odometry.velocity import VelocityFilter
+from .odometry.velocity import STEADY_SECONDS, VelocityFilter
 
 # Odometry readings that are kept until a scan measured at their time was processed. Origin: chosen, half a minute of a
 # fast base, longer than any scan takes.

@@ -29,18 +29,17 @@ from .estimation.slam_state import SlamState
 from .geometry.segments import CornerPoints, Floats, Segments
 from .io.exports.occupancy import OccupancyGrid
 from .io.exports.scan_placement import PlacedScan
-from .localisation.match_target import MatchTarget
-from .localisation.moving_objects import match_without_moving
+from .localisation.small_objects import SmallObjects
 from .localisation.view_change import View
 from .loop_closure.occlusion import OLD_DISTANCE, occluded_share, old_walls
 from .loop_closure.submap_search import build_submap, search_submap
 from .mapping.convergence import converge
 from .mapping.landmarks import Landmarks
-from .mapping.local_map import empty_local_map
 from .mapping.odometry_segments import OdometrySegments
 from .mapping.unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .mapping.wall_removal import FreeSpaceEvidence
 from .matching.distance_field import DistanceField
+from .matching.point_costs import excess_cost
 from .matching.point_matcher import Prediction, match_points
 from .matching.scan_features import ScanFeatures
 from .matching.scan_points import ScanPoints
@@ -92,7 +91,7 @@ def warm_up() -> None:
     _update_free_space()
     _search_submap()
     _search_poses()
-    _match_beside_person()
+    _count_person()
     _draw_grid()
     slam.finish()
 
@@ -122,7 +121,7 @@ def compile_preprocessing() -> None:
     _search_submap()
     _update_free_space()
     _search_poses()
-    _match_beside_person()
+    _count_person()
     _draw_grid()
     warm_up_simulation()
     warm_up_timing()
@@ -243,25 +242,30 @@ def _search_poses() -> None:
     view.differs_from(view, np.zeros(3))
 
 
-def _match_beside_person() -> None:
-    """Match a scan of a person who walks with the robot: it fits best where the robot has not driven."""
+def _count_person() -> None:
+    """Count a person as a small object that has moved."""
     angles = np.linspace(0.5 * np.pi, 1.5 * np.pi, 20)
     person = np.array([1.0, 0.5]) + 0.2 * np.column_stack([np.cos(angles), np.sin(angles)])
     nothing = np.zeros((0, 2))
     no_corners = CornerPoints(nothing, np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), nothing)
     no_segments = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
-    scan = ScanFeatures(no_segments, no_corners, ScanPoints(person))
-    field = DistanceField.empty(np.zeros(2))
-    field.insert(np.zeros(3), scan.surface_points())
-    odometry = Prediction(np.array([0.4, 0.0, 0.0]), np.diag([1e3, 1e3, 1e3]))
-    slip = Prediction(np.zeros(3), np.diag([1e2, 1e2, 1e2]))
-    target = MatchTarget(empty_local_map(), field, 0.0)
-    match_without_moving(target.match(scan, [odometry, slip]), [odometry, slip], scan, target)
+    scan, field, objects = (
+        ScanFeatures(no_segments, no_corners, ScanPoints(person)),
+        DistanceField.empty(np.zeros(2)),
+        SmallObjects(),
+    )
+    points = objects.weighted_points(scan)
+    field.insert(np.zeros(3), points)
+    excess_cost(field.arrays, points, np.zeros(3), np.zeros(3))
+    objects.add(scan, np.zeros(3), field, 1.0)
 
 
 def _two_walls() -> Floats:
-    """Return (p, 5) points with normals on two walls."""
+    """Return (p, 6) points with normals on two walls."""
     along = np.linspace(0.0, 2.0, 30)
     ones, zeros = np.ones(30), np.zeros(30)
-    walls = [np.column_stack([along, -ones, zeros, ones, ones]), np.column_stack([ones, along, -ones, zeros, ones])]
+    walls = [
+        np.column_stack([along, -ones, zeros, ones, ones, ones]),
+        np.column_stack([ones, along, -ones, zeros, ones, ones]),
+    ]
     return np.concatenate(walls)

@@ -126,11 +126,11 @@ class LocalField:
         return self._inserted
 
     def points(self, keyframe: int) -> Floats:
-        """Return the points (p, 5) of a keyframe with their normals, in its frame."""
+        """Return the points (p, 6) of a keyframe with their normals, in its frame."""
         return self._points[keyframe].astype(np.float64)
 
     def points_of(self, keyframes: Integers) -> list[NDArray[np.float32]]:
-        """Return the points (p, 5) of each of some keyframes with their normals, in its frame, as they are stored."""
+        """Return the points (p, 6) of each of some keyframes with their normals, in its frame, as they are stored."""
         return [self._points[keyframe] for keyframe in keyframes.tolist()]
 
     def add(self, scan: ScanFeatures, undetermined: float = 0.0) -> None:

@@ -8,18 +8,21 @@ is off by centimetres, and scans from nearby repeat this error.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats
 from ..mapping.local_map import LocalMap
 from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import Registration, register
+from ..matching.point_costs import excess_cost
 from ..matching.point_matcher import (
     MIN_FIT,
     MIN_KNOWN_POINTS,
+    POINTS_PER_OBJECT,
     SEARCH_FIT,
     PointMatch,
     Prediction,
@@ -27,6 +30,10 @@ from ..matching.point_matcher import (
     point_cost,
 )
 from ..matching.scan_features import ScanFeatures
+
+# Evidence (nats) from which on points contradict a prediction. Origin: definition, that of a difference of NORMAL_LIMIT
+# standard deviations.
+MIN_EVIDENCE = 0.5 * NORMAL_LIMIT**2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +45,7 @@ class ScanMatch:
     registration  of its features with the landmarks, from the best match on
     fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
     known         number of points in space that was seen before
-    explained     0 to 1, share of all points that lie on known surfaces
+    explained     0 to 1, share of all points that lie on known surfaces, or on objects that may have moved
     """
 
     points: PointMatch
@@ -83,13 +90,28 @@ class MatchTarget:
     roughness: float
     recent: Callable[[], DistanceField] | None = None
 
-    def match(self, scan: ScanFeatures, predictions: Sequence[Prediction], *, exhaustive: bool = False) -> ScanMatch:
+    def match(
+        self,
+        scan: ScanFeatures,
+        predictions: Sequence[Prediction],
+        points: Floats | None = None,
+        *,
+        exhaustive: bool = False,
+        trusted: bool = False,
+    ) -> ScanMatch:
         """Match a scan near one of several predicted poses.
 
-        For `exhaustive` see `match_points`.
+        points      (p, 6) of the scan with their weights; None if all weights are 1
+        exhaustive  see `match_points`
+        trusted     True if the first prediction holds unless the points contradict it; if they do not, the best match
+                    near it is returned
         """
-        points = points_of(scan)
+        points = points_of(scan) if points is None else points
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
+        if trusted:
+            near = _in_reach(next(some for some in (match, *others) if some.prediction is predictions[0]))
+            if near is not match and self._evidence(points, near.pose, match.pose) < MIN_EVIDENCE:
+                match, others = near, []
         prediction = match.prediction
         registration = register(
             match.pose, prediction.pose, prediction.information,
@@ -99,13 +121,31 @@ class MatchTarget:
         explained = fit * known / max(1, len(points))
         return ScanMatch(match, others, registration, fit, known, explained)
 
-    def contradicts(self, scan: ScanFeatures, pose: se2.Pose) -> bool:
-        """Return True if a scan at a pose contradicts the map: much of what it shows of known space does not fit."""
-        _, fit, known = point_cost(self.field, points_of(scan), pose)
+    def excludes(self, prediction: Prediction, points: Floats, pose: se2.Pose) -> bool:
+        """Return True if points (p, 6) that fit at a pose contradict a prediction."""
+        near = _in_reach(match_points(self.field, points, [prediction])[0])
+        return self._evidence(points, near.pose, pose) >= MIN_EVIDENCE
+
+    def _evidence(self, points: Floats, pose: se2.Pose, other: se2.Pose) -> float:
+        """Return the evidence (nats) of points (p, 6) against a pose and for another one.
+
+        A scan that fits at both, as in a bare corridor, is no evidence.
+        """
+        return float(excess_cost(self.field.arrays, points, pose, other)) / POINTS_PER_OBJECT
+
+    def contradicts(self, points: Floats, pose: se2.Pose) -> bool:
+        """Return True if points (p, 6) at a pose contradict the map: many of those in known space do not fit."""
+        _, fit, known = point_cost(self.field, points, pose)
         return known >= MIN_KNOWN_POINTS and fit < SEARCH_FIT
+
+
+def _in_reach(match: PointMatch) -> PointMatch:
+    """Return a match at its prediction instead if that excludes its pose."""
+    prediction = match.prediction
+    return replace(match, pose=prediction.pose) if prediction.excludes(match.pose) else match
 
 
 @lru_cache(maxsize=1)  # a scan is matched with several fields in a row
 def points_of(scan: ScanFeatures) -> Floats:
-    """Return the points (p, 5) of a scan that are matched, with their normals; not to be changed."""
+    """Return the points (p, 6) of a scan that are matched, with their normals; not to be changed."""
     return scan.surface_points()

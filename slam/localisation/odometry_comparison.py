@@ -20,13 +20,10 @@ from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.velocity import ACCELERATIONS, MAX_VELOCITIES, VelocityFilter
+from ..odometry.velocity import STEADY_SECONDS, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS
 from .tracking import CONDITIONING, PoseFix
 
-# Seconds for which a robot moves evenly: after that time it may have any velocity.
-# Origin: definition, the time in which ACCELERATIONS lead to MAX_VELOCITIES.
-STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 # Metres of wheel travel, by odometry or by the scans, over which they are compared. Origin: chosen, five times the
 # usual error of a pose and a reading; not measured.
 COMPARED_TRAVEL = 0.1

@@ -16,10 +16,11 @@ from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.velocity import MAX_VELOCITIES, MIN_PERIOD, ScanClock, VelocityFilter
-from .odometry_comparison import STEADY_SECONDS, OdometryComparison
+from ..odometry.velocity import MAX_VELOCITIES, MIN_PERIOD, STEADY_SECONDS, ScanClock, VelocityFilter
+from .odometry_comparison import OdometryComparison
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
 from .slip_statistics import SlipStatistics
+from .small_objects import SmallObjects
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MAX_TRAVEL
 
@@ -77,6 +78,11 @@ class PosePredictor:
         self._comparison.stop_odometry()
 
     @property
+    def interval(self) -> float:
+        """Seconds between the last two scans."""
+        return self._interval
+
+    @property
     def velocity(self) -> VelocityFilter:
         """Copy of the velocity at the last fix."""
         return copy(self._velocity)  # its arrays are replaced, not changed
@@ -118,15 +124,15 @@ class PosePredictor:
         self._comparison.follow(se2.between(self._fix.pose, pose), self._fix)
         self._fix = self._reference = PoseFix(pose, self._fix.odometry)
 
-    def state(self, last_score: float) -> TrackerState | None:
-        """Return the state to be saved, with the score of the last tracked scan; None before the first scan."""
+    def state(self, small_objects: SmallObjects, last_score: float) -> TrackerState | None:
+        """Return the state to be saved, with that of the tracker itself; None before the first scan."""
         if self._fix is None or self._reference is None:
             return None
         return TrackerState(
             self._fix, self._reference, self._since_fix, self._clock.last, self._clock.intervals,
             self._velocity.velocity, self._velocity.variances,
             self._prediction_error.variances, self._prediction_error.scans,
-            replace(self._slips), self._comparison.contradicted_for, last_score,
+            replace(self._slips), replace(small_objects), self._comparison.contradicted_for, last_score,
         )  # fmt: skip
 
     def restore(self, state: TrackerState) -> None:

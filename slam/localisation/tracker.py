@@ -23,15 +23,16 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.chi_square import chi_square_quantile
+from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
 from .match_target import MatchTarget, ScanMatch
-from .moving_objects import contradicts_without_moving, match_without_moving
 from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
 from .prediction_error import PREDICTION_SIGMAS
+from .small_objects import SmallObjects
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MIN_POINTS, View, ViewComparison
 
@@ -59,7 +60,7 @@ class Tracker:
         self._predictor = PosePredictor(model)
         self._untracked_in_a_row = 0
         self._last_score = 0.0  # of the last tracked scan
-        self._views = ViewComparison()
+        self._views, self._small_objects = ViewComparison(), SmallObjects()
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
@@ -90,12 +91,12 @@ class Tracker:
     @property
     def state(self) -> TrackerState | None:
         """State to be saved; None before the first scan."""
-        return self._predictor.state(self._last_score)
+        return self._predictor.state(self._small_objects, self._last_score)
 
     def restore(self, state: TrackerState) -> None:
         """Continue from a saved state."""
         self._predictor.restore(state)
-        self._last_score = state.last_score
+        self._small_objects, self._last_score = replace(state.small_objects), state.last_score
 
     def correct(self, pose: se2.Pose) -> None:
         """Replace the pose of the last fix, and predict from it from now on."""
@@ -140,10 +141,9 @@ class Tracker:
         poorly and against odometry and the view has changed recently: it fits here by chance then.
         """
         predictions = self._predictor.predict(stamp, odometry)
-        match = target.match(scan, predictions, exhaustive=not self.measured)
-        if self.measured:
-            match = match_without_moving(match, predictions, scan, target) or match
-        alone = self._match_to_last_metres(match, predictions, scan, target)
+        points = self._small_objects.weighted_points(scan)
+        match = target.match(scan, predictions, points, exhaustive=not self.measured, trusted=self.measured)
+        alone = self._match_to_last_metres(match, predictions, scan, points, target)
         match = alone or match
         status, slipped = self._judge(match, predictions, scan, target)
         tracked = status is TrackingStatus.TRACKED
@@ -166,7 +166,9 @@ class Tracker:
             from_tentative=match.points.prediction in from_last_tentative,
             contradicts_old_map=alone is not None,
         )
-        is_certain = partial(contradicts_without_moving, pose=match.points.pose, scan=scan, target=target)
+        if status is TrackingStatus.TRACKED:
+            self._small_objects.add(scan, result.pose, target.field, self._predictor.interval)
+        is_certain = partial(target.excludes, points=points, pose=match.points.pose)
         self._update(result, match, predictions[0], odometry, is_certain)
         return result
 
@@ -193,7 +195,12 @@ class Tracker:
         return self._predictor.measured
 
     def _match_to_last_metres(
-        self, match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
+        self,
+        match: ScanMatch,
+        predictions: Sequence[Prediction],
+        scan: ScanFeatures,
+        points: Floats,
+        target: MatchTarget,
     ) -> ScanMatch | None:
         """Return the match to the last metres alone, if odometry and these agree, and `match` contradicts them.
 
@@ -204,12 +211,12 @@ class Tracker:
         if target.recent is None or not self.measured or not match.contradicts(usual):
             return None
         last_metres = replace(target, field=target.recent())
-        alone = last_metres.match(scan, predictions)
+        alone = last_metres.match(scan, predictions, points)
         expected = Prediction(alone.points.pose, information_of(PREDICTION_SIGMAS))
         elsewhere = expected.excludes(match.points.pose)
         if alone.contradicts(usual) or not elsewhere or alone.known < MIN_KNOWN_POINTS or alone.poor:
             return None
-        return alone if last_metres.contradicts(scan, match.points.pose) else None
+        return alone if last_metres.contradicts(points, match.points.pose) else None
 
     def _judge(
         self, match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget

@@ -18,6 +18,7 @@ from ..matching.point_matcher import Prediction
 from ..odometry.velocity import VelocityFilter
 from .prediction_error import PredictionError
 from .slip_statistics import SlipStatistics
+from .small_objects import SmallObjects
 
 # Information (3, 3) of a pose that makes that of any scan invertible. Origin: definition.
 CONDITIONING = MIN_INFORMATION * np.eye(3)
@@ -110,6 +111,7 @@ class TrackerState:
     prediction_variances  (3,) see `PredictionError`
     prediction_scans  number of scans that they rest on
     slips       numbers of tracked scans and of slips
+    small_objects  numbers of small objects, and of those that have moved
     contradicted_for  seconds for which odometry has contradicted the scans, see `OdometryComparison`
     last_score  match score of the last tracked scan
     """
@@ -124,6 +126,7 @@ class TrackerState:
     prediction_variances: Floats
     prediction_scans: int
     slips: SlipStatistics
+    small_objects: SmallObjects
     contradicted_for: float
     last_score: float
 
@@ -133,5 +136,5 @@ class TrackerState:
         velocity, error = VelocityFilter(), PredictionError()
         return cls(
             fix, fix, None, None, (), velocity.velocity, velocity.variances, error.variances, error.scans,
-            SlipStatistics(), 0.0, 0.0,
+            SlipStatistics(), SmallObjects(), 0.0, 0.0,
         )  # fmt: skip

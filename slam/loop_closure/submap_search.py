@@ -60,7 +60,7 @@ UNDETERMINED = 1e-2 * np.eye(3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Submap:
-    """Points (p, 5) of some keyframes with their normals, in the frame of one of them, and their distance field."""
+    """Points (p, 6) of some keyframes with their normals, in the frame of one of them, and their distance field."""
 
     points: Floats
     field: DistanceField
@@ -93,22 +93,22 @@ class SubmapMatch:
 
 
 def build_submap(poses: Floats, points: Sequence[NDArray[np.floating]], half_width: float) -> Submap:
-    """Build a submap from keyframes at `poses` (k, 3) in its frame, each with points (p, 5) in its own."""
+    """Build a submap from keyframes at `poses` (k, 3) in its frame, each with points (p, 6) in its own."""
     field = DistanceField.empty(np.zeros(2), half_width)
     field.insert_scans(poses, points)
     return Submap(_moved(poses, points), field.completed())
 
 
 def _moved(poses: Floats, scans: Sequence[NDArray[np.floating]]) -> Floats:
-    """Return the points (p, 5) with normals of scans in the frames of their poses (k, 3), as one array (n, 5)."""
+    """Return the points (p, 6) with normals of scans in the frames of their poses (k, 3), as one array (n, 6)."""
     lengths, points = [len(scan) for scan in scans], np.concatenate(scans, dtype=np.float64)
     c, s = (np.repeat([f(heading) for heading in poses[:, 2].tolist()], lengths) for f in (math.cos, math.sin))
-    x, y, normal_x, normal_y, excess = points.T
+    x, y, normal_x, normal_y = points.T[:4]
     result = np.empty_like(points)
     result[:, 0] = np.repeat(poses[:, 0], lengths) + c * x - s * y
     result[:, 1] = np.repeat(poses[:, 1], lengths) + s * x + c * y
     result[:, 2], result[:, 3] = c * normal_x - s * normal_y, s * normal_x + c * normal_y
-    result[:, 4] = excess
+    result[:, 4:] = points[:, 4:]
     return result
 
 

@@ -101,7 +101,7 @@ class DistanceField:
         return self.origin, self.offsets.tile_of, self.offsets.tiles, self.seen
 
     def insert(self, pose: se2.Pose, points: Floats) -> None:
-        """Insert a scan's points (p, 5) with normals that face the lidar, given in the frame of the base at `pose`.
+        """Insert a scan's points (p, 6) with normals that face the lidar, given in the frame of the base at `pose`.
 
         A point whose normal is zero, or not given (p, 2), may face in any direction. Points outside the field only mark
         the cells that their beams cross as seen.
@@ -111,7 +111,7 @@ class DistanceField:
         self.insert_scans(np.asarray(pose, dtype=np.float64)[None], [points])
 
     def insert_scans(self, poses: Floats, scans: Sequence[NDArray[np.floating]]) -> None:
-        """Insert the points (p, 5), with normals, of several scans, one after the other; see `insert`."""
+        """Insert the points (p, 6), with normals, of several scans, one after the other; see `insert`."""
         if not len(scans):
             return
         points, first, entered = np.concatenate(scans, dtype=np.float64), np.cumsum([0, *map(len, scans)]), 0

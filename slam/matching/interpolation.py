@@ -16,6 +16,7 @@ from ..geometry.small_matrices import without_negative_part
 from .distance_field import facing_grid
 from .free_space import SEEN_CELLS, is_seen
 from .offset_tiles import FIELD_CELL, NO_OFFSET, metres, offset_at
+from .scan_points import WEIGHT
 
 # Points of a block. Origin: measured, 32 and 128 take as long or longer.
 BLOCK = 64
@@ -29,7 +30,7 @@ def memory_for(count):  # type: ignore[no-untyped-def]
 
 @inlined
 def add_points(pose, points, field, sigma, information, gradient, memory):  # type: ignore[no-untyped-def]
-    """Set the normal equations of points (p, 5) with normals, in the base's frame, with the base at `pose`.
+    """Set the normal equations of points (p, 6) with normals, in the base's frame, with the base at `pose`.
 
     Each point measures the offset from the nearest point of the field along its normal, or along both axes if it has
     none. The offset is zero with standard deviation `sigma` (metres) and a Cauchy kernel of the same scale. Points in
@@ -44,7 +45,7 @@ def add_points(pose, points, field, sigma, information, gradient, memory):  # ty
     for m in range(found):
         point, dx, dy = points[rows[m]], vectors[m, 0], vectors[m, 1]
         normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
-        weight = 1.0 / (sigma * sigma + dx * dx + dy * dy)
+        weight = point[WEIGHT] / (sigma * sigma + dx * dx + dy * dy)
         if normal_x != 0.0 or normal_y != 0.0:
             sums = _add_row(sums, point, normal_x, normal_y, c, s, weight, normal_x * dx + normal_y * dy)
         else:
@@ -70,7 +71,7 @@ def unbiased_information(pose, points, found, sigma, information, memory):  # ty
         if point[4] == 0.0:
             continue
         normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
-        weight = point[4] / (sigma * sigma + dx * dx + dy * dy)
+        weight = point[WEIGHT] * point[4] / (sigma * sigma + dx * dx + dy * dy)
         if normal_x != 0.0 or normal_y != 0.0:
             sums = _add_row(sums, point, -normal_y, normal_x, c, s, weight, 0.0)
         else:
@@ -109,7 +110,7 @@ def _add_row(sums, point, x, y, c, s, weight, residual):  # type: ignore[no-unty
 
 @compiled
 def interpolate(pose, points, field):  # type: ignore[no-untyped-def]
-    """Return the rows (m,) of points (p, 5) near a surface, and the vectors (m, 2) from there in the map, metres.
+    """Return the rows (m,) of points (p, 6) near a surface, and the vectors (m, 2) from there in the map, metres.
 
     The points are in the base's frame, with the base at `pose`. Near is a point in a seen cell in which a point of the
     field is the nearest one that faces the same way. The vector is interpolated between those from the points that are

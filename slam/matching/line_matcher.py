@@ -24,7 +24,7 @@ from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE, MAX_TURN
 from .scan_features import ScanFeatures
-from .scan_points import FINE_SIGMA, segments_of
+from .scan_points import COLUMNS, FINE_SIGMA, segments_of
 
 # Metres across a wall between it and a segment, for each Gauss-Newton step; also between two
 # corners. Origin: tuned on Intel, fr079, CSAIL.
@@ -79,7 +79,7 @@ def register(
     prediction  [x, y, heading] of the base in the map
     prior       (3, 3) information of the prediction in the base's frame; it fixes directions that nothing determines
     scan        segments and corners in the base's frame
-    points      (p, 5) of the scan with normals, in the base's frame, see `surface_points`
+    points      (p, 6) of the scan with normals, in the base's frame, see `surface_points`
     local_map   walls and corners in the map
     field       distance field in the map
     roughness   variance of the wall roughness (metres squared)
@@ -138,11 +138,11 @@ def _register(  # type: ignore[no-untyped-def]
 
 @inlined
 def _keep_unmatched(points, segment_of, overlaps, kept):  # type: ignore[no-untyped-def]
-    """Copy the points (q, 5) that are on no segment, or on one that was not matched with a wall; return how many."""
+    """Copy the points (q, 6) that are on no segment, or on one that was not matched with a wall; return how many."""
     count = 0
     for k in range(len(points)):
         if segment_of[k] < 0 or overlaps[segment_of[k]] == 0.0:
-            for c in range(5):
+            for c in range(COLUMNS):
                 kept[count, c] = points[k, c]
             count += 1
     return count

@@ -15,7 +15,8 @@ from ..geometry.small_matrices import quadratic_form
 from ..mapping.sight_lines import MIN_DEPTH
 from .distance_field import ALL_POINTS, facing_grid, nearest_distance
 from .free_space import is_seen
-from .offset_tiles import FIELD_CELL, MAX_DISTANCE, MAX_SQUARED, OFFSET_UNIT, offset_at, squared_length
+from .offset_tiles import FIELD_CELL, MAX_DISTANCE, MAX_SQUARED, OFFSET_UNIT, metres, offset_at, squared_length
+from .scan_points import FINE_SIGMA, WEIGHT
 
 # Metres, scale of the wide kernel. Origin: chosen, a fifth of MAX_DISTANCE; not measured.
 COARSE_SIGMA = MAX_DISTANCE / 5.0
@@ -34,21 +35,56 @@ SEARCH_TURN_STEP = math.radians(3.0)  # Origin: as SEARCH_STEP.
 
 @compiled
 def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
-    """Return cost, fit and known points of points (p, 5) with normals at a pose; see `point_matcher.PointMatch`."""
+    """Return cost, fit and known points of points (p, 6) with normals at a pose; see `point_matcher.PointMatch`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total, of_known, known = 0.0, 0.0, 0
     for k in range(len(points)):
         cost, evidence = _point_cost(field, points, k, pose, c, s)
-        total += cost
+        weight = points[k, WEIGHT]
+        total += weight * cost
         if evidence:
-            of_known += cost
+            of_known += weight * cost
             known += 1
     return total, 1.0 - of_known / (MISFIT * max(known, 1)), known
 
 
 @compiled
+def excess_cost(field, points, pose, other):  # type: ignore[no-untyped-def]
+    """Return by how much points (p, 6) with normals cost more at a pose than at another one, for poses that fit well.
+
+    So the offsets have the scale FINE_SIGMA, and are those across surfaces: beams meet a distant wall at places that
+    are decimetres apart. Only points in seen space at both poses count.
+    """
+    excess = 0.0
+    for k in range(len(points)):
+        cost, evidence = _fine_cost(field, points[k], pose)
+        other_cost, other_evidence = _fine_cost(field, points[k], other)
+        if evidence and other_evidence:
+            excess += points[k, WEIGHT] * (cost - other_cost)
+    return excess
+
+
+@inlined
+def _fine_cost(field, point, pose):  # type: ignore[no-untyped-def]
+    """Return the cost of a point at a pose by its offset across the surface, and if it is in seen space."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    x = (pose[0] + c * point[0] - s * point[1] - field[0][0]) / FIELD_CELL
+    y = (pose[1] + s * point[0] + c * point[1] - field[0][1]) / FIELD_CELL
+    normal_x, normal_y = c * point[2] - s * point[3], s * point[2] + c * point[3]
+    grid = facing_grid(normal_x, normal_y)
+    cost, evidence = cost_at(field, grid, x, y)
+    if not evidence or cost >= MISFIT:
+        return cost, evidence
+    row, column = math.floor(x), math.floor(y)
+    dx, dy = metres(offset_at(field[1], field[2], grid, row, column))
+    dx, dy = dx + FIELD_CELL * (x - row - 0.5), dy + FIELD_CELL * (y - column - 0.5)
+    squared = dx * dx + dy * dy if grid == ALL_POINTS else (normal_x * dx + normal_y * dy) ** 2
+    return min(MISFIT, 0.5 * squared / FINE_SIGMA**2), True
+
+
+@compiled
 def costs_of_points(field, points, pose):  # type: ignore[no-untyped-def]
-    """Return the cost (p,) of each of points (p, 5) with normals at a pose."""
+    """Return the cost (p,) of each of points (p, 6) with normals at a pose."""
     c, s, costs = math.cos(pose[2]), math.sin(pose[2]), np.empty(len(points))
     for k in range(len(points)):
         costs[k] = _point_cost(field, points, k, pose, c, s)[0]
@@ -57,7 +93,7 @@ def costs_of_points(field, points, pose):  # type: ignore[no-untyped-def]
 
 @compiled
 def crossing_beams(field, points, pose):  # type: ignore[no-untyped-def]
-    """Return how many beams to points (p, 5) pass through known surfaces at a pose, before they reach theirs."""
+    """Return how many beams to points (p, 6) pass through known surfaces at a pose, before they reach theirs."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     start_x, start_y = (pose[0] - field[0][0]) / FIELD_CELL, (pose[1] - field[0][1]) / FIELD_CELL
     count = 0
@@ -108,7 +144,7 @@ def cost_at(field, grid, x, y):  # type: ignore[no-untyped-def]
 def search_grid(field, points, share, prediction, prior, kernel, shift, turn):  # type: ignore[no-untyped-def]
     """Return the pose with the lowest cost on a grid around the prediction.
 
-    points             (p, 5) with normals, in the base's frame
+    points             (p, 6) with normals, in the base's frame
     share              times that the cost of each point counts
     prediction, prior  pose (3,) in the map and its information (3, 3), with a Cauchy kernel of the scale `kernel`
     shift, turn        metres and radians from the prediction up to which poses are tried
@@ -144,7 +180,7 @@ def _search(  # type: ignore[no-untyped-def]
                 if cost >= lowest:
                     continue
                 pose_x, pose_y = prediction[0] + c * x - s * y, prediction[1] + s * x + c * y
-                cost += share * _cost_below(field, turned, facing, pose_x, pose_y, (lowest - cost) / share)
+                cost += share * _cost_below(field, points, turned, facing, pose_x, pose_y, (lowest - cost) / share)
                 if cost < lowest:
                     lowest = cost
                     best[0], best[1], best[2] = pose_x, pose_y, heading
@@ -160,11 +196,11 @@ def _turn(points, c, s, turned, facing):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _cost_below(field, turned, facing, pose_x, pose_y, limit):  # type: ignore[no-untyped-def]
+def _cost_below(field, points, turned, facing, pose_x, pose_y, limit):  # type: ignore[no-untyped-def]
     """Return the cost of points, see `_turn`, at a position, or any value from `limit` on if it reaches that."""
     total, x, y = 0.0, (pose_x - field[0][0]) / FIELD_CELL, (pose_y - field[0][1]) / FIELD_CELL
     for k in range(len(turned)):
-        total += cost_at(field, facing[k], x + turned[k, 0], y + turned[k, 1])[0]
+        total += points[k, WEIGHT] * cost_at(field, facing[k], x + turned[k, 0], y + turned[k, 1])[0]
         if total >= limit:
             break
     return total

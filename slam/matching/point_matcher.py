@@ -124,7 +124,7 @@ class PointMatch:
     information  (3, 3) of the pose from the points alone, in the base's frame
     prediction   from which the pose was found
     cost         minus the logarithm of the likelihood, see the module; lower is better
-    fit          0 to 1: mean over the points in seen space of 1 - cost / MISFIT
+    fit          0 to 1: mean over the points in seen space of 1 - weight * cost / MISFIT
     known        number of points in seen space
     """
 
@@ -144,7 +144,7 @@ class PointMatch:
 def match_points(
     field: DistanceField, points: Floats, predictions: Sequence[Prediction], *, exhaustive: bool = False
 ) -> list[PointMatch]:
-    """Match points (p, 5) with normals, in the base's frame, to the field near each of several predicted poses.
+    """Match points (p, 6) with normals, in the base's frame, to the field near each of several predicted poses.
 
     Returns the matches, those with the lowest cost first. If the first of up to MAX_UNSEARCHED predictions leads to a
     good match, the poses around them are not searched. If `exhaustive`, they are searched anyway: most of a scan fits
@@ -173,7 +173,7 @@ def match_points(
 
 
 def _ranked(field: DistanceField, points: Floats, matches: list[PointMatch]) -> list[PointMatch]:
-    """Return matches of points (p, 5), those with the lowest cost first, with the costs of beams through surfaces."""
+    """Return matches of points (p, 6), those with the lowest cost first, with the costs of beams through surfaces."""
     if len(matches) == 1:
         return matches
     counts = [int(crossing_beams(field.arrays, points, match.pose)) for match in matches]
@@ -208,7 +208,7 @@ def match_from(
 ) -> PointMatch:
     """Improve the pose `start` by Gauss-Newton with a kernel of each of the scales `sigmas` (metres) in turn.
 
-    The points (p, 5), with normals, are used as they are.
+    The points (p, 6), with normals, are used as they are.
     """
     pose, information, cost, fit, known = _match_from(
         field.arrays, points, start, prediction.pose, prediction.information, sigmas
@@ -218,13 +218,13 @@ def match_from(
 
 
 def point_cost(field: DistanceField, points: Floats, pose: se2.Pose) -> tuple[float, float, int]:
-    """Return cost, fit and known points of points (p, 5), used as they are, at a pose; see `PointMatch`."""
+    """Return cost, fit and known points of points (p, 6), used as they are, at a pose; see `PointMatch`."""
     cost, fit, known = points_cost(field.arrays, points, pose)
     return float(cost), float(fit), int(known)
 
 
 def point_information(points: Floats, *, unbiased: bool = False) -> Floats:
-    """Return the information (3, 3) of a pose from points (p, 5) with normals in its frame, if each of them is matched.
+    """Return the information (3, 3) of a pose from points (p, 6) with normals in its frame, if each of them is matched.
 
     The noise of a point is FINE_SIGMA along its normal. A point without a normal measures both directions, without its
     excess (see `surface_points`). The excess of points with a normal is subtracted if the information has to be true,
@@ -239,13 +239,13 @@ def _sums_of_squares(points):  # type: ignore[no-untyped-def]
     """Return J' J (3, 3) with the derivatives J of the offsets of points by the pose, and the excess along surfaces."""
     total, excess = np.zeros((3, 3)), np.zeros((3, 3))
     for k in range(len(points)):
-        x, y, normal_x, normal_y, of_excess = points[k]
+        x, y, normal_x, normal_y, of_excess, weight = points[k]
         if normal_x == 0.0 and normal_y == 0.0:
-            _add_square(total, x, y, 1.0, 0.0, 1.0 - of_excess)
-            _add_square(total, x, y, 0.0, 1.0, 1.0 - of_excess)
+            _add_square(total, x, y, 1.0, 0.0, weight * (1.0 - of_excess))
+            _add_square(total, x, y, 0.0, 1.0, weight * (1.0 - of_excess))
         else:
-            _add_square(total, x, y, normal_x, normal_y, 1.0)
-            _add_square(excess, x, y, -normal_y, normal_x, of_excess)
+            _add_square(total, x, y, normal_x, normal_y, weight)
+            _add_square(excess, x, y, -normal_y, normal_x, weight * of_excess)
     return total, excess
 
 

@@ -26,7 +26,7 @@ class ScanFeatures:
     sweep_covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
 
     def surface_points(self) -> Floats:
-        """Return the points (q, 5) that are matched, with normals, see `scan_points.surface_points`."""
+        """Return the points (q, 6) that are matched, with normals, see `scan_points.surface_points`."""
         return surface_points(self.points.xy, self.segments, POINT_SPACING, self.points.sigma)
 
     def without_range_bias(self, bias: float) -> ScanFeatures:

@@ -46,6 +46,10 @@ MAX_FLATNESS = 0.02
 MAX_SCATTER = 3.0
 
 
+# Column of the weight of a matched point, and number of columns; see `surface_points`. Origin: definition.
+WEIGHT, COLUMNS = 5, 6
+
+
 class ScanPoints:
     """Points of one scan in the base's frame.
 
@@ -84,7 +88,7 @@ def subsample(points: Floats, max_count: int) -> Floats:
 
 
 def surface_points(points: Floats, segments: Segments, spacing: float, sigma: float = 0.0) -> Floats:
-    """Return (q, 5) the points to be matched, in the base's frame: x, y, normal [x, y] of the surface, excess.
+    """Return (q, 6) the points to be matched, in the base's frame: x, y, normal [x, y], excess, weight.
 
     points    (p, 2) returns of one scan in the base's frame, in the order of the beams, counter-clockwise
     segments  of the same scan
@@ -98,7 +102,7 @@ def surface_points(points: Floats, segments: Segments, spacing: float, sigma: fl
     it compared with along it, or no more than noise explains. That is the scatter of points across the segments of the
     scan, but the fewer of its points are on segments, the more the noise of the lidar, if it is larger. Normals have
     length 1 and point to the lidar: to the left of the direction in which the beams move along the surface, wherever
-    the lidar is mounted.
+    the lidar is mounted. All weights are 1.
 
     The excess is information that a point seems to have, and has not, relative to that of a point along its normal.
     It is zero on segments, and where there are enough neighbours that are on no line. Else:
@@ -118,7 +122,7 @@ def surface_points(points: Floats, segments: Segments, spacing: float, sigma: fl
 
 
 def segments_of(points: Floats, segments: Segments) -> Integers:
-    """Return (q,) the row of the segment, between its ends, on which each of `surface_points` (q, 5) lies, or -1."""
+    """Return (q,) the row of the segment, between its ends, on which each of `surface_points` (q, 6) lies, or -1."""
     return lines_of(points, segments.frame, segments.half_length)
 
 
@@ -133,13 +137,13 @@ def lines_of(points: Floats, frames: Floats, half_lengths: Floats) -> Integers:
 
 @compiled
 def _surface_points(points, frames, half_lengths, spacing, sigma):  # type: ignore[no-untyped-def]
-    kept, rows, count = np.zeros((len(points), 5)), np.empty(len(points), np.int64), 0
+    kept, rows, count = np.zeros((len(points), COLUMNS)), np.empty(len(points), np.int64), 0
     for k in range(len(points)):
         if count:
             dx, dy = points[k, 0] - kept[count - 1, 0], points[k, 1] - kept[count - 1, 1]
             if dx * dx + dy * dy < spacing * spacing:
                 continue
-        kept[count, 0], kept[count, 1], rows[count] = points[k, 0], points[k, 1], k
+        kept[count, 0], kept[count, 1], kept[count, WEIGHT], rows[count] = points[k, 0], points[k, 1], 1.0, k
         count += 1
     kept, across = kept[:count], np.empty(count)
     axes, lines, found = axes_of(frames), np.empty(count, np.int64), 0
@@ -193,7 +197,7 @@ def _nearest_line(x, y, frames, axes, half_lengths, reach):  # type: ignore[no-u
 
 @compiled
 def _set_normal(points, k, noise):  # type: ignore[no-untyped-def]
-    """Set normal and excess of point k of (q, 5) from its neighbours within NORMAL_RADIUS, if they are on a line.
+    """Set normal and excess of point k of (q, 6) from its neighbours within NORMAL_RADIUS, if they are on a line.
 
     The line has the direction of the larger eigenvector of the neighbours' covariance. Returns False if there are not
     enough of them to tell. `noise` is the variance of points across a surface by noise.

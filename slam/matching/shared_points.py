@@ -43,8 +43,8 @@ def split_information(
     M^(1/2) A^(-1/2) B A^(-1/2) M^(1/2), with symmetric roots. M need not be from all points of the scan.
 
     information  M, of the scan's pose in its own frame
-    references   (p, 5) points of each reference with their normals, in its frame, the oldest one first
-    points       (q, 5) those of the scan, in its frame
+    references   (p, 6) points of each reference with their normals, in its frame, the oldest one first
+    points       (q, 6) those of the scan, in its frame
     relatives    pose of the scan in the frame of each reference
     """
     whole, left, parts = point_information(points), points, list[tuple[int, Floats]]()

@@ -21,6 +21,9 @@ ACCELERATIONS = np.array([1.0, 1.0, 3.0])
 # Origin: chosen, metres and radians per second.
 MAX_VELOCITIES = np.array([1.0, 1.0, 2.0])
 MAX_VARIANCES = MAX_VELOCITIES**2  # Origin: definition.
+# Seconds for which a robot moves evenly: after that time it may have any velocity.
+# Origin: definition, the time in which ACCELERATIONS lead to MAX_VELOCITIES.
+STEADY_SECONDS = float((MAX_VELOCITIES / ACCELERATIONS).min())
 # Latest intervals between scans of which the median is the lidar's period, or the mean if they come in bursts.
 # Origin: chosen, longer than the bursts of a computer that is busy for some seconds; not measured.
 PERIOD_SAMPLES = 101

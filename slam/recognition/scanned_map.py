@@ -25,7 +25,7 @@ from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
 from ..matching.offset_tiles import FIELD_CELL
 from ..matching.point_costs import points_cost
-from ..matching.scan_points import lines_of
+from ..matching.scan_points import COLUMNS, lines_of
 from .map_descriptor import MapDescriptor
 from .map_index import MapIndex, index_map
 
@@ -49,7 +49,7 @@ MAX_RELATION_DISTANCE = 10.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellPoints:
-    """Points (p, 5) with normals, in the order of the numbers (p,) of the cells of the map in which they lie.
+    """Points (p, 6) with normals, in the order of the numbers (p,) of the cells of the map in which they lie.
 
     Numbers of cells on long walls are odd, see `are_on_walls`.
     """
@@ -97,7 +97,7 @@ class SubmapScan:
 
     keyframes   of the submap
     descriptor  its walls and corners
-    points      (p, 5) thinned, with normals
+    points      (p, 6) thinned, with normals
     field       distance field of all points
     reach       metres from the last keyframe to the farthest point, at most MAX_REACH
     """
@@ -140,14 +140,14 @@ class ScannedDrive:
 def scan_map(
     index: MapIndex, poses: Floats, points: Sequence[NDArray[np.floating]], cell: float = EVIDENCE_CELL
 ) -> ScannedMap:
-    """Prepare a map of keyframes at `poses` (k, 3), each with points (p, 5) with normals in its frame, to search in.
+    """Prepare a map of keyframes at `poses` (k, 3), each with points (p, 6) with normals in its frame, to search in.
 
     cell  metres, side of its cells
 
     What is farther than MAX_REACH from the middle of the keyframes is not searched.
     """
     moved = np.concatenate(
-        [np.zeros((0, 5)), *(_transform(pose, own) for pose, own in zip(poses, points, strict=True))]
+        [np.zeros((0, COLUMNS)), *(_transform(pose, own) for pose, own in zip(poses, points, strict=True))]
     )
     low, high = _bounds(moved if len(moved) else poses, poses)
     field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + FIELD_MARGIN)
@@ -165,7 +165,7 @@ def scan_keyframes(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.b
 def scan_submap(
     keyframes: range, descriptor: MapDescriptor, poses: Floats, points: Sequence[NDArray[np.floating]]
 ) -> SubmapScan:
-    """Build a submap of keyframes at `poses` (k, 3), each with points (p, 5) with normals in its frame.
+    """Build a submap of keyframes at `poses` (k, 3), each with points (p, 6) with normals in its frame.
 
     descriptor  walls and corners in the frame of the last keyframe
     """
@@ -194,12 +194,12 @@ def are_on_walls(count: int) -> NDArray[np.bool_]:
 
 
 def thin(points: Floats) -> Floats:
-    """Return one of the points (p, 5) of each square of THINNED_SPACING whose surfaces face in about one direction."""
+    """Return one of the points (p, 6) of each square of THINNED_SPACING whose surfaces face in about one direction."""
     if not len(points):
         return points
     squares = np.round(points[:, :2] / THINNED_SPACING).astype(np.int64)
     facing = np.round(np.arctan2(points[:, 3], points[:, 2]) / (0.5 * math.pi)).astype(np.int64) % 4
-    facing[~points[:, 2:].any(axis=1)] = 4
+    facing[~points[:, 2:4].any(axis=1)] = 4
     # One number for each square and direction: to compare rows takes ten times as long.
     column, row = (squares - squares.min(axis=0)).T
     _, first = np.unique((column * (row.max() + 1) + row) * 5 + facing, return_index=True)
@@ -226,7 +226,7 @@ class _CellGrid:
         return 2 * int(self.shape.prod())
 
     def sort(self, points: Floats, pose: se2.Pose, walls: MapDescriptor) -> CellPoints:
-        """Return points (p, 5) in a frame at `pose` in the map, in the order of their cells; `walls` in the frame."""
+        """Return points (p, 6) in a frame at `pose` in the map, in the order of their cells; `walls` in the frame."""
         squares = np.floor((_transform(pose, points)[:, :2] - self.origin) / self.side).astype(np.int64)
         squares = np.clip(squares, 0, self.shape - 1)
         long = 2.0 * walls.half_length > MIN_WALL_LENGTH
@@ -264,10 +264,10 @@ def _relations(mapper: Mapper, submaps: Sequence[DriveSubmap]) -> dict[tuple[int
 
 
 def _transform(pose: se2.Pose, points: NDArray[np.floating]) -> Floats:
-    """Transform points (p, 5) with normals."""
+    """Transform points (p, 6) with normals."""
     turn = np.array([0.0, 0.0, pose[2]])
     moved, normals = se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:4])
-    return np.column_stack([moved.reshape(-1, 2), normals.reshape(-1, 2), points[:, 4]]).astype(np.float64)
+    return np.column_stack([moved.reshape(-1, 2), normals.reshape(-1, 2), points[:, 4:]]).astype(np.float64)
 
 
 @compiled

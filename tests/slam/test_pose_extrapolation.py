@@ -13,9 +13,8 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, end_stamp
 from slam import Slam
 from slam.events import KeyframeAdded, ScanTracked, StateChanged
-from slam.localisation.odometry_comparison import STEADY_SECONDS
 from slam.localisation.state import LocalisationStatus
-from slam.odometry.velocity import VelocityFilter
+from slam.odometry.velocity import STEADY_SECONDS, VelocityFilter
 from slam.pose_extrapolation import ExtrapolatedPose, PoseExtrapolator
 
 WORLD = "sim:office?duration=12&lidar=short"

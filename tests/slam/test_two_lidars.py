@@ -71,13 +71,13 @@ def test_the_map_is_better_than_with_one(drive: list[Message], result: Finished)
 
 
 def test_a_clock_of_its_own_is_compensated(drive: list[Message], result: Finished) -> None:
-    def on_other_clock(message: Message) -> Message:
-        return message if is_first(message) else replace(message, stamp=message.stamp + LATE)
+    def late(seconds: float) -> list[Message]:
+        messages = (m if is_first(m) else replace(m, stamp=m.stamp + seconds) for m in drive)
+        return sorted(messages, key=lambda message: message.stamp)
 
-    late = sorted(map(on_other_clock, drive), key=lambda message: message.stamp)
     config = TOPICS.model_copy(update={"second_lidar": SecondLidarConfig(topic="/scan_2", delay=LATE)})
-    assert error(run(late, config), drive) == pytest.approx(error(result, drive), rel=0.1)
-    assert error(run(late), drive) > 1.5 * error(result, drive)
+    assert error(run(late(LATE), config), drive) == pytest.approx(error(result, drive), rel=0.1)
+    assert error(run(late(3.0 * LATE)), drive) > 1.5 * error(result, drive)
 
 
 def test_scans_at_another_rate_are_joined(drive: list[Message], result: Finished) -> None:

@@ -17,8 +17,8 @@ from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
 from ...localisation.match_target import MatchTarget
-from ...localisation.moving_objects import match_without_moving
 from ...localisation.slip_statistics import SlipStatistics
+from ...localisation.small_objects import SmallObjects
 from ...mapping.landmarks import Landmarks
 from ...mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, landmarks_around
 from ...matching.distance_field import DistanceField
@@ -95,7 +95,7 @@ class FullMapMatcher:
         self._slip_cost = SlipStatistics(len(history), int(odometry_wrong.sum())).cost
         self._weak_information = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._informations = history.informations + self._weak_information
-        self._range_bias = range_bias
+        self._range_bias, self._small_objects = range_bias, SmallObjects()
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._tiles = self._tiles_of(history.own_keyframes)
         self._next_rows = _next_rows(self._tiles)
@@ -127,9 +127,10 @@ class FullMapMatcher:
         cost = 0.0 if self._odometry_wrong[row] else self._slip_cost
         even = Prediction(self._interpolate(row, poses), self._weak_information, cost)
         predictions = [present, even] if present.excludes(even.pose) else [present]
-        match = target.match(scan, predictions, exhaustive=True)
-        if not self._odometry_wrong[row]:
-            match = match_without_moving(match, predictions, scan, target) or match
+        points = self._small_objects.weighted_points(scan)
+        match = target.match(scan, predictions, points, exhaustive=True, trusted=not self._odometry_wrong[row])
+        if match.plausible:
+            self._small_objects.add(scan, match.points.pose, target.field, self._intervals[row])
         odometry_wrong = match.plausible and match.points.prediction is even
         return FullMapMatch(match.points, match.registration, match.plausible, odometry_wrong)
 
@@ -196,7 +197,7 @@ class FullMapMatcher:
         field.insert_scans(self._poses[near], [self._points_of(keyframe) for keyframe in near.tolist()])
 
     def _points_of(self, keyframe: int) -> NDArray[np.float32]:
-        """Return the points (p, 5) of a keyframe with their normals: it is in several fields."""
+        """Return the points (p, 6) of a keyframe with their normals: it is in several fields."""
         if keyframe not in self._points:
             scan = self._history.scans[self._history.keyframes[keyframe]].features
             self._points[keyframe] = scan.surface_points().astype(np.float32)  # as while driving

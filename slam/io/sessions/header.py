@@ -14,6 +14,7 @@ from ...errors import MapError
 from ...estimation.tracking_checkpoint import Anchor, TrackingCheckpoint
 from ...graph.factors import GraphState
 from ...localisation.slip_statistics import SlipStatistics
+from ...localisation.small_objects import SmallObjects
 from ...localisation.tracking import PoseFix, TrackerState
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.map_parts import MapParts
@@ -88,6 +89,8 @@ class _Tracker(Record):
     after_slips: int = Field(default=0, ge=0)
     repeated_slips: int = Field(default=0, ge=0)
     failing: bool = False
+    objects: Finite = Field(default=0.0, ge=0.0)
+    moved_objects: Finite = Field(default=0.0, ge=0.0)
     contradicted_for: Finite = Field(default=0.0, ge=0.0)
     last_score: Finite
 
@@ -221,6 +224,8 @@ def _tracker_record(state: TrackerState) -> _Tracker:
         after_slips=state.slips.after_slips,
         repeated_slips=state.slips.repeated_slips,
         failing=state.slips.after_slip,
+        objects=state.small_objects.seen,
+        moved_objects=state.small_objects.moved,
         contradicted_for=state.contradicted_for,
         last_score=state.last_score,
     )
@@ -234,6 +239,7 @@ def _tracker_state(record: _Tracker) -> TrackerState:
         fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),
         np.array(record.velocity_variances), np.array(record.prediction_variances), record.prediction_scans,
         SlipStatistics(record.scans, record.slips, record.after_slips, record.repeated_slips, record.failing),
+        SmallObjects(record.objects, record.moved_objects),
         record.contradicted_for,
         record.last_score,
     )  # fmt: skip

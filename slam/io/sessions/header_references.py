@@ -86,6 +86,8 @@ def _check_tracker(file: Path, header: SessionHeader, scans: ScanRecords) -> Non
         raise MapError(
             f"{file}: checkpoint.tracker: the numbers of scans after slips and of slips contradict each other"
         )
+    if tracker.moved_objects > tracker.objects:
+        raise MapError(f"{file}: checkpoint.tracker: more small objects have moved than were seen")
     latest = scans.scans.stamps[-1] if len(scans.scans) else -math.inf
     if tracker.scan_stamp is not None and tracker.scan_stamp > latest:
         raise MapError(f"{file}: checkpoint.tracker: the last scan is later than all scans")

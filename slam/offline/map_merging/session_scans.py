@@ -36,6 +36,6 @@ def drive_of(session: StoredSession) -> ScannedDrive:
 
 
 def _keyframe_points(history: ScanHistory) -> Sequence[Floats]:
-    """Return the points (p, 5) of each keyframe with their normals, in its frame."""
+    """Return the points (p, 6) of each keyframe with their normals, in its frame."""
     features = [history.scans[row].features for row in history.keyframes]
     return [some.surface_points() for some in features]

@@ -10,12 +10,13 @@ import pytest
 from drivers import se2
 from slam.config import OdometryConfig
 from slam.geometry.segments import Floats
-from slam.localisation.odometry_comparison import STEADY_SECONDS, OdometryComparison
+from slam.localisation.odometry_comparison import OdometryComparison
 from slam.localisation.pose_predictor import PosePredictor
+from slam.localisation.small_objects import SmallObjects
 from slam.localisation.tracking import PoseFix
 from slam.matching.point_matcher import Prediction
 from slam.odometry.error_model import OdometryModel
-from slam.odometry.velocity import VelocityFilter
+from slam.odometry.velocity import STEADY_SECONDS, VelocityFilter
 
 from ..tracking_results import tracking_result
 
@@ -135,7 +136,7 @@ def test_the_motion_is_predicted_to_be_even_while_odometry_fails() -> None:
         odometry = odometry if k >= 19 else odometry + STEP
     assert predictor.odometry_failing
     assert not predictor.measured
-    state = predictor.state(0.0)
+    state = predictor.state(SmallObjects(), 0.0)
     assert state is not None
     restored = PosePredictor(OdometryModel(OdometryConfig()))
     restored.restore(state)

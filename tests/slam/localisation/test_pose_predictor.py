@@ -8,6 +8,7 @@ import pytest
 from drivers import se2
 from slam.config import OdometryConfig
 from slam.localisation.pose_predictor import PosePredictor
+from slam.localisation.small_objects import SmallObjects
 from slam.localisation.tracking import TrackingStatus
 from slam.matching.point_matcher import Prediction
 from slam.odometry.error_model import OdometryModel
@@ -69,7 +70,7 @@ def test_the_cost_of_a_slip_follows_from_the_scans_that_slipped_and_is_saved() -
         costs.append((usual.cost, slip.cost))
     # The first of 20 slips followed 20 scans without one, and the others each followed a slip.
     np.testing.assert_allclose(costs, -np.log([[39 / 40, 1 / 40], [1 / 21, 20 / 21]]))
-    restored, state = PosePredictor(OdometryModel(OdometryConfig())), predictor.state(0.0)
+    restored, state = PosePredictor(OdometryModel(OdometryConfig())), predictor.state(SmallObjects(), 0.0)
     assert state is not None
     restored.restore(state)
     restored_usual, restored_slip, *_ = restored.predict(2.1, np.zeros(3))

@@ -59,7 +59,7 @@ def test_points_of_a_submap_are_those_of_its_keyframes_in_its_frame() -> None:
 
 
 def test_nothing_matches_in_an_old_place_that_was_not_seen() -> None:
-    old = build_submap(np.zeros((1, 3)), [np.zeros((0, 5))], 15.0)
+    old = build_submap(np.zeros((1, 3)), [np.zeros((0, 6))], 15.0)
     found = search_submap(submap_of(ROOM, OLD), old, np.zeros(3), REACH, TURN)
     assert all(match.known < MIN_KNOWN for match in found)
 

@@ -64,7 +64,7 @@ def field_of(points: np.ndarray) -> DistanceField:
 
 def register_scan(prediction: np.ndarray, scan: ScanFeatures, local_map: LocalMap) -> Registration:
     """Register a scan without points, starting at the prediction."""
-    return register(prediction, prediction, LOOSE_PRIOR, scan, np.zeros((0, 5)), local_map, EMPTY_FIELD, 0.0)
+    return register(prediction, prediction, LOOSE_PRIOR, scan, np.zeros((0, 6)), local_map, EMPTY_FIELD, 0.0)
 
 
 def match_and_register(
@@ -150,7 +150,7 @@ def test_clutter_points_determine_position_along_corridor() -> None:
 
 
 def points_on(segments: Segments) -> np.ndarray:
-    """Return points (p, 5) with normals on the segments, nearly from end to end."""
+    """Return points (p, 6) with normals on the segments, nearly from end to end."""
     points = wall_points(segments.frame, 0.99 * segments.half_length)
     return surface_points(points, segments, POINT_SPACING)
 

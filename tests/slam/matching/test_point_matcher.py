@@ -20,7 +20,7 @@ from slam.matching.point_matcher import (
     point_cost,
     point_information,
 )
-from slam.matching.scan_points import FINE_SIGMA, surface_points
+from slam.matching.scan_points import FINE_SIGMA, WEIGHT, surface_points
 
 from ..outlines import noisy_field, outline, scan_points
 
@@ -178,7 +178,9 @@ def test_points_in_unseen_space_are_no_evidence(heading: float) -> None:
     beyond = np.column_stack([np.arange(7.0, 9.0, 0.06), random.uniform(-3.0, 6.0, 34)])
     points = scan_points(ROOM, truth)
     plain = match_points(ROOM_FIELD, points, [prediction])[0]
-    through = np.column_stack([se2.transform(se2.inverse(truth), beyond), np.zeros_like(beyond), np.zeros(len(beyond))])
+    through = np.column_stack(
+        [se2.transform(se2.inverse(truth), beyond), np.zeros((len(beyond), 3)), np.ones(len(beyond))]
+    )
     found = match_points(ROOM_FIELD, np.concatenate([points, through]), [prediction])[0]
     np.testing.assert_allclose(found.pose, plain.pose, atol=1e-9)
     np.testing.assert_allclose(found.information, plain.information, rtol=1e-6, atol=1e-3)
@@ -188,7 +190,7 @@ def test_points_in_unseen_space_are_no_evidence(heading: float) -> None:
 
 def test_excess_reduces_the_information_and_leaves_the_pose() -> None:
     points = scan_points(ROOM, INSIDE)
-    points[:, 2:] = 0.0  # of surfaces that are not known
+    points[:, 2:WEIGHT] = 0.0  # of surfaces that are not known
     prediction = Prediction(se2.compose(INSIDE, [0.05, -0.05, 0.02]), information(0.2, 5.0))
     whole = match_points(ROOM_FIELD, points, [prediction])[0]
     points[:, 4] = 0.75
@@ -234,11 +236,22 @@ def test_pose_without_evidence_is_the_prediction(empty: str) -> None:
     assert not found.poor
 
 
+def test_weights_count_as_numbers_of_points() -> None:
+    points, prediction = scan_points(ROOM, INSIDE), Prediction(INSIDE, information(0.2, 5.0))
+    heavy, doubled = points.copy(), np.concatenate([points, points[::2]])
+    heavy[::2, WEIGHT] = 2.0
+    weighted, repeated = (match_points(ROOM_FIELD, some, [prediction])[0] for some in (heavy, doubled))
+    np.testing.assert_allclose(weighted.pose, repeated.pose, atol=1e-9)
+    np.testing.assert_allclose(weighted.information, repeated.information, rtol=1e-6, atol=1e-3)
+    assert weighted.cost == pytest.approx(repeated.cost)
+    np.testing.assert_allclose(point_information(heavy), point_information(doubled), rtol=1e-9)
+
+
 def test_people_stop_beams_but_no_beam_passes_through_a_wall() -> None:
     points = scan_points(ROOM, INSIDE)
     behind_the_wall = se2.compose(np.array([-1.0, 0.0, 0.0]), INSIDE)
     assert crossing_beams(ROOM_FIELD.arrays, points, INSIDE) <= 0.02 * len(points)
-    assert crossing_beams(ROOM_FIELD.arrays, points * [0.5, 0.5, 1.0, 1.0, 1.0], INSIDE) == 0
+    assert crossing_beams(ROOM_FIELD.arrays, points * [0.5, 0.5, 1.0, 1.0, 1.0, 1.0], INSIDE) == 0
     assert crossing_beams(ROOM_FIELD.arrays, points, behind_the_wall) > 0.2 * len(points)
 
 

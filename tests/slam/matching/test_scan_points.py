@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from drivers import se2
 from slam.geometry.segments import Floats, Segments
 from slam.matching.scan_points import (
+    COLUMNS,
     CONTINUATION,
     FINE_SIGMA,
     LINE_DISTANCE,
@@ -133,7 +134,7 @@ def test_corners_have_no_normals() -> None:
 
 
 def test_single_points_have_no_normals() -> None:
-    assert surface_points(np.zeros((0, 2)), NO_SEGMENTS, SPACING).shape == (0, 5)
+    assert surface_points(np.zeros((0, 2)), NO_SEGMENTS, SPACING).shape == (0, COLUMNS)
     alone = np.array([[0.0, 0.0], [2.0, 0.0], [4.0, 0.0], [6.0, 0.0], [8.0, 0.0]])
     np.testing.assert_array_equal(surface_points(alone, NO_SEGMENTS, SPACING)[:, 2:4], 0.0)
 
@@ -164,7 +165,7 @@ def test_noise_is_no_structure_in_a_scan_without_segments() -> None:
 def test_all_of_the_only_return_of_a_scan_is_excess() -> None:
     """Nothing tells how far the next beam would be; such scans occur where a hall is wider than the lidar's range."""
     kept = surface_points(np.array([[4.0, 1.0]]), NO_SEGMENTS, SPACING)
-    np.testing.assert_array_equal(kept, [[4.0, 1.0, 0.0, 0.0, 1.0]])
+    np.testing.assert_array_equal(kept, [[4.0, 1.0, 0.0, 0.0, 1.0, 1.0]])
 
 
 def test_points_of_exact_surfaces_have_no_excess() -> None:

@@ -13,9 +13,9 @@ LEFT, RIGHT, BACK = (0.0, -1.0), (0.0, 1.0), (-1.0, 0.0)
 
 
 def surface(start: tuple[float, float], end: tuple[float, float], normal: tuple[float, float]) -> Floats:
-    """Return points (p, 5) every 5 cm along a surface."""
+    """Return points (p, 6) every 5 cm along a surface."""
     count = int(np.hypot(*np.subtract(end, start)) / 0.05) + 1
-    return np.column_stack([np.linspace(start, end, count), np.tile((*normal, 1.0), (count, 1))])
+    return np.column_stack([np.linspace(start, end, count), np.tile((*normal, 1.0, 1.0), (count, 1))])
 
 
 def corridor(reach: float, *doors: float) -> Floats:
@@ -45,7 +45,7 @@ def shares(scan: Floats, x: float, *references: tuple[float, Floats]) -> list[Fl
 
 def test_all_information_in_a_room_is_from_surfaces_that_both_have_seen() -> None:
     room = np.concatenate([corridor(3.0), surface((3.0, -1.0), (3.0, 1.0), BACK)])
-    scan = room - [0.5, 0.0, 0.0, 0.0, 0.0]
+    scan = room - [0.5, 0.0, 0.0, 0.0, 0.0, 0.0]
     oldest, latest = shares(scan, 0.5, (0.0, room), (0.5, scan))
     assert (oldest > 0.999).all()
     assert not latest.any()
@@ -99,4 +99,4 @@ def test_what_has_moved_shows_nothing() -> None:
 
 
 def test_a_scan_without_points_has_no_information() -> None:
-    assert not split_information(np.zeros((3, 3)), [corridor(3.0)] * 2, np.zeros((0, 5)), [np.zeros(3)] * 2)
+    assert not split_information(np.zeros((3, 3)), [corridor(3.0)] * 2, np.zeros((0, 6)), [np.zeros(3)] * 2)

@@ -9,7 +9,9 @@ from slam.mapping.mapper import Mapper
 from slam.recognition.map_index import index_map
 from slam.recognition.scanned_map import FIELD_MARGIN, MAX_REACH, ScannedMap, scan_map
 
-WALL = np.column_stack([np.linspace(-3.0, 3.0, 61), np.full(61, 2.0), np.zeros(61), np.full(61, -1.0), np.zeros(61)])
+WALL = np.column_stack(
+    [np.linspace(-3.0, 3.0, 61), np.full(61, 2.0), np.zeros(61), np.full(61, -1.0), np.zeros(61), np.ones(61)]
+)
 """Points of a wall with normals, as a keyframe sees it."""
 
 
