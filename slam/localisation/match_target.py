@@ -103,8 +103,8 @@ class MatchTarget:
 
         points      (p, 6) of the scan with their weights; None if all weights are 1
         exhaustive  see `match_points`
-        trusted     True if the first prediction holds unless the points contradict it; if they do not, the best match
-                    near it is returned
+        trusted     True if the first prediction holds unless the points contradict it: if they do not, its match is
+                    returned although another one may cost less
         """
         points = points_of(scan) if points is None else points
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
@@ -122,7 +122,7 @@ class MatchTarget:
         return ScanMatch(match, others, registration, fit, known, explained)
 
     def excludes(self, prediction: Prediction, points: Floats, pose: se2.Pose) -> bool:
-        """Return True if points (p, 6) that fit at a pose contradict a prediction."""
+        """Return True if points (p, 6) that fit at a pose contradict a prediction, which may lead to another one."""
         near = _in_reach(match_points(self.field, points, [prediction])[0])
         return self._evidence(points, near.pose, pose) >= MIN_EVIDENCE
 

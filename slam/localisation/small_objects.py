@@ -1,10 +1,13 @@
 """Small objects that may have moved, such as people, and how much they count in a match.
 
 A person who walks beside the robot looks the same from scan to scan. Along a corridor nothing else determines the
-position, so a scan fits best where the robot stands beside a person who stands, though odometry has measured that it
-drives. A small object moves as a whole, so that none of its points fits is one event: it costs as much as it is rare.
-How many of the small objects around the robot have moved since they were mapped is learned while driving. Columns and
-chairs count with most of their points, people hardly count where many of them walk.
+position: the scan fits best at a pose where both stand still, although odometry has measured that the robot drives.
+
+A small object moves as a whole. If none of its points fits, that is one event, whose cost is minus the logarithm of its
+probability: the share of the small objects around the robot that have moved since they were mapped. This share is
+learned while driving. Where nothing moves, most points of an object count; among many people, one or two of them do.
+
+Equation: docs/mathematics.md#cost-of-a-pose.
 """
 
 from __future__ import annotations
@@ -31,8 +34,8 @@ from .match_target import points_of
 # Metres, largest size of an object that may move: the width of a person with a bag. Origin: chosen; with 1.2 m, a slip
 # of the wheels in fr079 counted as furniture that had moved.
 MAX_SIZE = 0.8
-# Metres between the points of neighbouring beams of one object, and to what is beside or behind it. Origin: chosen, the
-# step of a walking person.
+# Metres between the points of neighbouring beams of one object, and from it to what is beside it.
+# Origin: chosen, the step of a walking person.
 MAX_GAP = 0.3
 # Objects that count before any driving, and those of them that have moved. Origin: chosen, between the shares measured
 # in recordings: 0 to 4 % without people, 23 % in a museum. Few, as nothing is known of the place.
@@ -62,7 +65,7 @@ class SmallObjects:
     def weighted_points(self, scan: ScanFeatures) -> Floats:
         """Return the points (p, 6) of a scan that are matched, with their weights, in the base's frame.
 
-        If no point of an object fits, that costs `moved_cost`, or as much as other points if these are few.
+        An object none of whose points fits costs `moved_cost`, or less if it has few points: no weight is above 1.
         """
         points, objects = points_of(scan).copy(), objects_of(scan)
         on_object = objects >= 0
@@ -74,7 +77,7 @@ class SmallObjects:
     def add(self, scan: ScanFeatures, pose: se2.Pose, field: DistanceField, seconds: float) -> None:
         """Count the objects of a scan, `seconds` after the one before, with the base at `pose` in the field.
 
-        An object has moved if more than half of what its known points show does not fit.
+        An object has moved if its known points cost more than half of what points cost that fit nowhere.
         """
         objects, costs = objects_of(scan), costs_of_points(field.arrays, points_of(scan), pose)
         known = (costs != UNSEEN) & (objects >= 0)
@@ -117,7 +120,9 @@ def _objects(points, on_walls):  # type: ignore[no-untyped-def]
             left, right = min(left, points[i, 0]), max(right, points[i, 0])
             low, high = min(low, points[i, 1]), max(high, points[i, 1])
         is_small = not on_walls[start] and math.hypot(right - left, high - low) <= MAX_SIZE
-        if is_small and _is_free(points, start, start - 1) and _is_free(points, k - 1, k % len(points)):
+        is_alone = k - start == len(points)
+        is_free = is_alone or (_is_free(points, start, start - 1) and _is_free(points, k - 1, k % len(points)))
+        if is_small and is_free:
             objects[start:k] = count
             count += 1
         start = k
@@ -126,9 +131,10 @@ def _objects(points, on_walls):  # type: ignore[no-untyped-def]
 
 @inlined
 def _is_free(points, end, beside):  # type: ignore[no-untyped-def]
-    """Return True if the object with a point at its `end` does not go on, hidden or not, where the next beam ends.
+    """Return True if an object ends at the point `end`, given the point `beside` it in the order of the beams.
 
-    That is `beside` the object, or behind it. A nearer surface may hide a wall of which only a piece is seen.
+    It may go on there if both points are close together, or if the other one is on a nearer surface, which may hide the
+    rest of a wall of which only a piece is seen.
     """
     gap = math.hypot(points[beside, 0] - points[end, 0], points[beside, 1] - points[end, 1])
     if gap <= LINE_DISTANCE:

@@ -2,9 +2,10 @@
 
 Each scan is matched near the pose that odometry predicts from a reference, the last keyframe. Odometry may slip, stand
 still for a second and then catch up, jump, or count backwards, so the scan is also matched near the pose of a robot
-that moves on evenly, at the velocity of the scans before. If it fits best there, its pose is tentative, and the next
-scan decides if odometry continues from there, has caught up, or keeps slipping: these are equally probable. If a scan
-fits nowhere, the pose follows odometry. After several scans in a row without a certain pose the robot counts as lost.
+that moves on evenly, at the velocity of the scans before. Odometry holds unless the points of the scan contradict it.
+If they do, and the scan fits best at the even motion, its pose is tentative, and the next scan decides if odometry
+continues from there, has caught up, or keeps slipping: these are equally probable. If a scan fits nowhere, the pose
+follows odometry. After several scans in a row without a certain pose the robot counts as lost.
 
 Without odometry, and while it is failing, each motion is predicted to be even. Most are, so the prediction is
 narrow; but a robot that starts or stops to turn is off by many of its standard deviations, and a scan fits well at many

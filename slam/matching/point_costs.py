@@ -50,10 +50,11 @@ def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
 
 @compiled
 def excess_cost(field, points, pose, other):  # type: ignore[no-untyped-def]
-    """Return by how much points (p, 6) with normals cost more at a pose than at another one, for poses that fit well.
+    """Return by how much more points (p, 6) with normals cost at a pose than at another one.
 
-    So the offsets have the scale FINE_SIGMA, and are those across surfaces: beams meet a distant wall at places that
-    are decimetres apart. Only points in seen space at both poses count.
+    Both poses are the results of matches, so the offsets are compared with FINE_SIGMA. They are measured across the
+    surfaces: the mapped points of a distant wall are decimetres apart, and a scan from where one of them was mapped
+    would always fit best. Only points that are in seen space at both poses count.
     """
     excess = 0.0
     for k in range(len(points)):

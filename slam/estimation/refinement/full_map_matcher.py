@@ -95,7 +95,8 @@ class FullMapMatcher:
         self._slip_cost = SlipStatistics(len(history), int(odometry_wrong.sum())).cost
         self._weak_information = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._informations = history.informations + self._weak_information
-        self._range_bias, self._small_objects = range_bias, SmallObjects()
+        self._range_bias = range_bias
+        self._small_objects = SmallObjects()
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
         self._tiles = self._tiles_of(history.own_keyframes)
         self._next_rows = _next_rows(self._tiles)
@@ -118,6 +119,7 @@ class FullMapMatcher:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
 
         To match the scans in another order than that of their rows takes more time, as distance fields are built again.
+        The share of small objects that have moved is learned from the scans matched before.
         The poses within the uncertainty of its present pose are searched. If an even motion between its neighbours
         leads outside of these, the poses around that are searched as well, at the cost that a slip has in tracking.
         """

@@ -65,6 +65,7 @@ def test_session_of_another_version_is_refused(intact: Path, tmp_path: Path, ver
     [
         (["checkpoint", "kidnapped_keyframes"], [10**6], "checkpoint.kidnapped_keyframes: there are"),
         (["checkpoint", "tracker", "slips"], 10**6, "checkpoint.tracker: more slips than scans"),
+        (["checkpoint", "tracker", "moved_objects"], 10**6, "checkpoint.tracker: more small objects have moved"),
         (["checkpoint", "tracker", "after_slips"], 10**6, "checkpoint.tracker: the numbers of scans"),
         (["checkpoint", "tracker", "repeated_slips"], 10**6, "checkpoint.tracker: the numbers of scans"),
         (["checkpoint", "tracker", "last_score"], None, "checkpoint.tracker.last_score: input should be a"),

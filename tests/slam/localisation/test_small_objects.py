@@ -11,7 +11,7 @@ from drivers import se2
 from drivers.simulation import LidarModel, Simulation, load_world
 from slam import Slam
 from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
-from slam.geometry.segments import CornerPoints, Floats, Segments
+from slam.geometry.segments import CornerPoints, Floats, Integers, Segments
 from slam.localisation.match_target import MatchTarget
 from slam.localisation.small_objects import MAX_OBJECTS, SmallObjects, objects_of
 from slam.mapping.local_map import empty_local_map
@@ -20,7 +20,7 @@ from slam.matching.point_matcher import POINTS_PER_OBJECT, Prediction
 from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import WEIGHT, ScanPoints
 
-from ..outlines import noisy_field, outline, visible, with_noise
+from ..outlines import NO_SEGMENTS, noisy_field, outline, visible, with_noise
 
 RANGE, WIDTH = 6.0, 2.0  # metres
 CORRIDOR = outline([(-20, -0.5 * WIDTH), (20, -0.5 * WIDTH), (20, 0.5 * WIDTH), (-20, 0.5 * WIDTH)])
@@ -33,6 +33,8 @@ SIDES = Segments(
     np.full(2, RANGE),
     np.tile(4e-6 * np.eye(2), (2, 1, 1)),
 )
+
+NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
 
 
 def circle(x: float, y: float) -> Floats:
@@ -48,8 +50,7 @@ def in_range(points: Floats, pose: Floats) -> Floats:
 def scan_from(pose: Floats, surfaces: Floats) -> ScanFeatures:
     """Return the scan of surfaces (n, 2) from `pose`, with the sides of the corridor as segments."""
     seen = with_noise(visible(in_range(surfaces, pose), pose), np.random.default_rng(3))
-    corners = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
-    return ScanFeatures(SIDES, corners, ScanPoints(seen))
+    return ScanFeatures(SIDES, NO_CORNERS, ScanPoints(seen))
 
 
 def matched(before: Floats, now: Floats, pose: Floats, objects: SmallObjects) -> Floats:
@@ -121,6 +122,32 @@ def test_the_share_of_objects_that_have_moved_is_learned(moved: float) -> None:
         objects.add(scan, STANDING, field, 0.1)
     assert objects.seen == pytest.approx(MAX_OBJECTS)
     assert math.exp(-objects.moved_cost) == pytest.approx(moved, abs=0.1)
+
+
+def objects_in(points: Floats) -> Integers:
+    """Return the numbers of the objects on which points (n, 2) without walls lie, seen from the origin."""
+    return objects_of(ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(points)))
+
+
+def side(start: tuple[float, float], end: tuple[float, float]) -> Floats:
+    return np.linspace(start, end, int(np.hypot(*np.subtract(end, start)) / 0.06) + 1)
+
+
+def test_only_what_stands_free_is_an_object() -> None:
+    """Beams go from right to left, over a post 2 m ahead and a wall behind it."""
+    post, wall = side((2.0, -0.2), (2.0, 0.2)), side((4.0, -2.0), (4.0, -0.6))
+    rest = side((4.0, 0.6), (4.0, 2.0))
+    assert (objects_in(np.concatenate([wall, post, rest])) >= 0).sum() == len(post)
+    assert np.all(objects_in(post) == 0)  # alone
+    beside_wall = np.concatenate([side((2.0, -2.0), (2.0, -0.25)), post, rest])
+    assert np.all(objects_in(beside_wall) == -1)
+
+
+def test_the_piece_of_a_wall_that_a_nearer_edge_hides_is_no_object() -> None:
+    """Through a door, some decimetres of a wall are seen between its nearer frames."""
+    seen = side((4.0, -0.3), (4.0, 0.3))
+    frames = side((2.0, -2.0), (2.0, -0.2)), side((2.0, 0.2), (2.0, 2.0))
+    assert np.all(objects_in(np.concatenate([frames[0], seen, frames[1]])) == -1)
 
 
 def test_an_object_costs_as_much_as_it_is_rare_that_one_moves() -> None:
