@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,8 +24,43 @@ from .small_objects import SmallObjects
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MAX_TRAVEL
 
-# Predictions from a tentative pose. Origin: definition, by odometry and by an even motion.
-FROM_TENTATIVE = 2
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predictions:
+    """Predictions of the pose at the next scan, one of which holds.
+
+    usual           by odometry; without it, and while it is failing, that of an even motion
+    slip            if odometry has slipped since the last scan, or the motion is not even; None if neither is possible
+    caught_up       if odometry has caught up after a recent slip; None without one
+    from_tentative  from the tentative pose of the last scan, by odometry and by an even motion; empty without one
+    """
+
+    usual: Prediction
+    slip: Prediction | None = None
+    caught_up: Prediction | None = None
+    from_tentative: tuple[Prediction, ...] = ()
+
+    @property
+    def all(self) -> list[Prediction]:
+        """All predictions, the usual one first."""
+        others = (self.slip, self.caught_up, *self.from_tentative)
+        return [self.usual, *(prediction for prediction in others if prediction is not None)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Alternative:
+    """Pose where a scan fits odometry too, and by how much it costs more there than at its best pose."""
+
+    pose: se2.Pose
+    additional_cost: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TentativePose:
+    """Fix of the last scan if that was TENTATIVE, which the next scan decides on, and the alternative, if any."""
+
+    fix: PoseFix
+    alternative: Alternative | None
 
 
 class PosePredictor:
@@ -40,9 +75,7 @@ class PosePredictor:
         self.model = model
         self._fix: PoseFix | None = None
         self._reference: PoseFix | None = None  # from which odometry predicts
-        self._tentative: PoseFix | None = None  # of the last scan, if it was TENTATIVE
-        self._alternative: PoseFix | None = None  # where that scan fits odometry
-        self._alternative_cost = 0.0  # by which it costs more there
+        self._tentative: TentativePose | None = None  # of the last scan
         self._before_slip: PoseFix | None = None  # reference before the last slip
         self._since_slip = 0.0  # seconds
         self._interval = 0.0  # seconds between the last two scans
@@ -60,8 +93,8 @@ class PosePredictor:
 
     @property
     def tentative(self) -> PoseFix | None:
-        """Pose of the last scan, if it was tentative."""
-        return self._tentative
+        """Pose of the last scan if it was tentative, else None."""
+        return None if self._tentative is None else self._tentative.fix
 
     @property
     def measured(self) -> bool:
@@ -91,7 +124,7 @@ class PosePredictor:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
-        self._tentative = self._alternative = self._before_slip = self._odometry_after_gap = None
+        self._tentative = self._before_slip = self._odometry_after_gap = None
         self._comparison.restart()
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
@@ -149,27 +182,27 @@ class PosePredictor:
             return np.zeros(3)
         return se2.compose(self._fix.pose, self.model.correct(self._fix.odometry_motion(odometry)))
 
-    def predict(self, stamp: float, odometry: se2.Pose) -> list[Prediction]:
-        """Return the predictions of the pose: the usual one first, and that after a slip second, if one is possible.
-
-        Then those of odometry that has caught up after the last slip, and of the motion from a tentative pose.
-        """
+    def predict(self, stamp: float, odometry: se2.Pose) -> Predictions:
+        """Return the predictions of the pose at a scan with this stamp and odometry."""
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
         self._last_odometry = odometry
         self._interval = interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
-        if self._alternative is not None:  # both hypotheses are followed from where the last scan fits them
-            usual = self._by_odometry(self._alternative, odometry, usual.inertia, self._alternative_cost)
-        predictions = [usual] if self._since_fix is None else [usual, slip]
+        caught_up: Prediction | None = None
+        from_tentative: tuple[Prediction, ...] = ()
         self._since_slip += interval
         if self._before_slip is not None and self._since_slip < STEADY_SECONDS and not self.odometry_failing:
-            predictions.append(self._by_odometry(self._before_slip, odometry, slip))
-        if self._tentative is not None:
-            even = self._even_motion(self._tentative.pose, interval)
-            predictions += [self._by_odometry(self._tentative, odometry, even), even]  # FROM_TENTATIVE
-        return predictions
+            caught_up = self._by_odometry(self._before_slip, odometry, slip)
+        if (tentative := self._tentative) is not None:
+            if (other := tentative.alternative) is not None:
+                # Both hypotheses are followed from where the last scan fits them.
+                start = PoseFix(other.pose, tentative.fix.odometry)
+                usual = self._by_odometry(start, odometry, usual.inertia, other.additional_cost)
+            even = self._even_motion(tentative.fix.pose, interval)
+            from_tentative = (self._by_odometry(tentative.fix, odometry, even), even)
+        return Predictions(usual, None if self._since_fix is None else slip, caught_up, from_tentative)
 
     def learn(self, usual: Prediction, match: PointMatch) -> None:
         """Learn the error of predictions from the match of a tracked scan, and its usual prediction."""
@@ -180,24 +213,22 @@ class PosePredictor:
         self,
         result: TrackingResult,
         odometry: se2.Pose,
-        alternative: tuple[se2.Pose, float] | None,
+        alternative: Alternative | None,
         is_certain: Callable[[Prediction], bool],
     ) -> None:
         """Keep the pose of a scan as the fix or as tentative, by its status.
 
-        alternative  pose where a tentative scan fits odometry, and by how much it costs more there; None without one
+        alternative  pose where the scan fits odometry, if that is not its best one; None without one
         is_certain   returns True if a contradiction between the scan and a prediction by odometry is certain
         """
-        self._tentative = self._alternative = None
+        self._tentative = None
         if result.status is TrackingStatus.NO_FEATURES:
             return
         if self._odometry_after_gap is None:
             self._odometry_after_gap = odometry
         fix = PoseFix(result.pose, odometry)
         if result.status is TrackingStatus.TENTATIVE:
-            self._tentative = fix
-            if alternative is not None:
-                self._alternative, self._alternative_cost = PoseFix(alternative[0], odometry), alternative[1]
+            self._tentative = TentativePose(fix, alternative)
         if result.status is not TrackingStatus.TRACKED:
             return
         assert self._fix is not None

@@ -14,7 +14,6 @@ wrong headings. So all poses that the robot can reach by accelerating are search
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -23,26 +22,20 @@ import numpy as np
 
 from drivers import se2
 
-from ..geometry.chi_square import chi_square_quantile
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
 from .match_target import MatchTarget, ScanMatch
-from .pose_predictor import FROM_TENTATIVE, PosePredictor, information_of
+from .pose_predictor import PosePredictor, information_of
 from .prediction_error import PREDICTION_SIGMAS
+from .slip_evidence import SlipEvidence
 from .small_objects import SmallObjects
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MIN_POINTS, View, ViewComparison
 
-# Difference in cost up to which another place may be the right one. Origin: measured, where a lidar that sees 180
-# degrees looks into a room for the first time, parallel walls fit together at wrong places, which cost up to 10.5 less.
-AMBIGUITY = 10.0
-# Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
-# Origin: chi-square, 3 dof, 99.7 %.
-MAX_SLIP = math.sqrt(chi_square_quantile(0.997, 3))
 # Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
 MIN_WALL_LENGTH = 0.5
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
@@ -143,10 +136,11 @@ class Tracker:
         """
         predictions = self._predictor.predict(stamp, odometry)
         points = self._small_objects.weighted_points(scan)
-        match = target.match(scan, predictions, points, exhaustive=not self.measured, trusted=self.measured)
-        alone = self._match_to_last_metres(match, predictions, scan, points, target)
-        match = alone or match
-        status, slipped = self._judge(match, predictions, scan, target)
+        match = target.match(scan, predictions.all, points, exhaustive=not self.measured, trusted=self.measured)
+        alone = self._match_to_last_metres(match, predictions.all, scan, points, target)
+        evidence = SlipEvidence(alone or match, predictions)
+        match = evidence.match
+        status, slipped = self._judge(evidence, scan, target)
         tracked = status is TrackingStatus.TRACKED
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
@@ -158,37 +152,36 @@ class Tracker:
             status, slipped = TrackingStatus.FAILED, False
         if self.odometry_failing:
             slipped = status is TrackingStatus.TRACKED
-        from_last_tentative = predictions[-FROM_TENTATIVE:] if self._predictor.tentative is not None else []
         result = _result(
             match,
             status,
             slipped=slipped,
             fits_by_chance=fits_by_chance,
-            from_tentative=match.points.prediction in from_last_tentative,
+            from_tentative=match.points.prediction in predictions.from_tentative,
             contradicts_old_map=alone is not None,
         )
         if status is TrackingStatus.TRACKED:
             self._small_objects.add(scan, result.pose, target.field, self._predictor.interval)
         is_certain = partial(target.excludes, points=points, pose=match.points.pose)
-        self._update(result, match, predictions[0], odometry, is_certain)
+        self._update(result, evidence, odometry, is_certain)
         return result
 
     def _update(
         self,
         result: TrackingResult,
-        match: ScanMatch,
-        usual: Prediction,
+        evidence: SlipEvidence,
         odometry: se2.Pose,
         is_certain: Callable[[Prediction], bool],
     ) -> None:
         """Keep what the predictions of the next scans need of a match; for `is_certain` see `PosePredictor.update`."""
         if result.status is TrackingStatus.TRACKED:
-            self._last_score, self._untracked_in_a_row = match.score, 0
+            self._last_score, self._untracked_in_a_row = evidence.match.score, 0
             if self.measured:
-                self._predictor.learn(usual, match.points)
+                self._predictor.learn(evidence.predictions.usual, evidence.match.points)
         elif result.status is not TrackingStatus.NO_FEATURES:
             self._untracked_in_a_row += 1
-        self._predictor.update(result, odometry, _alternative(match, usual) if self.measured else None, is_certain)
+        alternative = evidence.alternative if self.measured else None
+        self._predictor.update(result, odometry, alternative, is_certain)
 
     @property
     def measured(self) -> bool:
@@ -219,26 +212,12 @@ class Tracker:
             return None
         return alone if last_metres.contradicts(points, match.points.pose) else None
 
-    def _judge(
-        self, match: ScanMatch, predictions: Sequence[Prediction], scan: ScanFeatures, target: MatchTarget
-    ) -> tuple[TrackingStatus, bool]:
+    def _judge(self, evidence: SlipEvidence, scan: ScanFeatures, target: MatchTarget) -> tuple[TrackingStatus, bool]:
         """Return the status of a scan, and True if it shows that odometry has slipped since its reference."""
-        usual, slip = predictions[0], predictions[1] if len(predictions) > 1 else None
-        chosen, pose = match.points.prediction, match.points.pose
-        contradicts = usual.excludes(pose)
-        # Poses were searched around both motions, and the best one agrees with odometry: that has not failed.
-        odometry_holds = (self._predictor.tentative is not None or chosen is not slip) and not contradicts
-        # An earlier slip is confirmed: the pose was found from a tentative one, or where odometry has caught up.
-        confirmed = not odometry_holds and chosen is not usual and chosen is not slip
-        # Only an even motion leads here, and not odometry as well: the next scan has to confirm that.
-        seems_slipped = (
-            not odometry_holds
-            and chosen is slip
-            and not any(other.prediction is usual and _same_place(match, other) for other in match.others)
-        )
+        match, confirms_slip, seems_slipped = evidence.match, evidence.confirms_slip, evidence.seems_slipped
         if _too_few_features(scan) and len(target.landmarks.walls):
             return TrackingStatus.NO_FEATURES, False
-        if not match.plausible or (seems_slipped and chosen.squared_distance(pose) > MAX_SLIP**2):
+        if not match.plausible or (seems_slipped and evidence.is_beyond_any_motion):
             return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
         # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.
@@ -248,10 +227,10 @@ class Tracker:
             and not self._views.changed
             and not self._predictor.is_after_gap(scans, MAX_UNTRACKED_SCANS)
         )
-        doubtful = confirmed and (match.poor or _ambiguous(match)) and not agree_for_long
+        doubtful = confirms_slip and (match.poor or evidence.is_ambiguous) and not agree_for_long
         if seems_slipped or doubtful or (match.poor and self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)):
             return TrackingStatus.TENTATIVE, False
-        return TrackingStatus.TRACKED, confirmed or contradicts
+        return TrackingStatus.TRACKED, confirms_slip or evidence.contradicts_odometry
 
 
 def _result(
@@ -286,21 +265,3 @@ def _result(
 
 def _too_few_features(scan: ScanFeatures) -> bool:
     return scan.segments.total_length < MIN_WALL_LENGTH and len(scan.points.xy) < MIN_POINTS
-
-
-def _same_place(match: ScanMatch, other: PointMatch) -> bool:
-    """Return True if a match near another prediction has led to the same place: both predictions hold then."""
-    return bool(np.all(np.abs(se2.between(other.pose, match.points.pose)) < PREDICTION_SIGMAS))
-
-
-def _alternative(match: ScanMatch, usual: Prediction) -> tuple[se2.Pose, float] | None:
-    """Return the other pose where a scan fits the usual prediction, and how much more it costs; None if nowhere."""
-    for other in match.others:
-        if other.prediction is usual and other.known >= MIN_KNOWN_POINTS and not other.poor:
-            return other.pose, other.cost - match.points.cost
-    return None
-
-
-def _ambiguous(match: ScanMatch) -> bool:
-    """Return True if the scan fits about as well at another place."""
-    return any(other.cost < match.points.cost + AMBIGUITY and not _same_place(match, other) for other in match.others)

@@ -128,7 +128,7 @@ def test_the_motion_is_predicted_to_be_even_while_odometry_fails() -> None:
     for k in range(40):
         predictions = predictor.predict(k * PERIOD, odometry)
         if k > 30:
-            np.testing.assert_allclose(predictions[0].pose, pose, atol=0.005)
+            np.testing.assert_allclose(predictions.usual.pose, pose, atol=0.005)
         slipped = k >= 20
         result = tracking_result(pose=pose, information=1e6 * np.eye(3), slipped=slipped)
         predictor.update(result, odometry, None, certain)

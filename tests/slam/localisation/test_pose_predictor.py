@@ -7,7 +7,7 @@ import pytest
 
 from drivers import se2
 from slam.config import OdometryConfig
-from slam.localisation.pose_predictor import PosePredictor
+from slam.localisation.pose_predictor import Alternative, PosePredictor
 from slam.localisation.small_objects import SmallObjects
 from slam.localisation.tracking import TrackingStatus
 from slam.matching.point_matcher import Prediction
@@ -32,15 +32,16 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
         predictor.predict(0.1 * k, odometry)
         predictor.update(tracking_result(pose=odometry, information=INFORMATION), odometry, None, certain)
         odometry = odometry + STEP
-    before = predictor.predict(0.2, odometry)[0]
+    before = predictor.predict(0.2, odometry).usual
     np.testing.assert_allclose(before.pose, odometry, atol=1e-9)
     predictor.update(
         tracking_result(TrackingStatus.TENTATIVE, pose=tentative, information=INFORMATION),
         odometry,
-        (alternative, 4.0),
+        Alternative(alternative, 4.0),
         certain,
     )
-    usual, *_, from_tentative, _even = predictor.predict(0.3, odometry + STEP)
+    predictions = predictor.predict(0.3, odometry + STEP)
+    usual, (from_tentative, _even) = predictions.usual, predictions.from_tentative
     np.testing.assert_allclose(usual.pose, se2.compose(alternative, STEP), atol=1e-9)
     assert usual.cost == 4.0
     np.testing.assert_allclose(from_tentative.pose, se2.compose(tentative, STEP), atol=1e-9)
@@ -54,7 +55,7 @@ def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     predictor.update(tracking_result(information=INFORMATION), np.zeros(3), None, certain)
     predictor.predict(0.1, STEP)
     predictor.update(tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1])), STEP, None, certain)
-    usual = predictor.predict(0.2, 2 * STEP)[0]
+    usual = predictor.predict(0.2, 2 * STEP).usual
     np.testing.assert_allclose(usual.pose, 2 * STEP, atol=1e-9)
     assert usual.cost == pytest.approx(-np.log(20.0 / 21.0))  # no more than that of odometry without a slip
 
@@ -66,12 +67,14 @@ def test_the_cost_of_a_slip_follows_from_the_scans_that_slipped_and_is_saved() -
         for k in range(20):
             predictor.predict(0.1 * k, np.zeros(3))
             predictor.update(tracking_result(slipped=slipped), np.zeros(3), None, certain)
-        usual, slip, *_ = predictor.predict(2.0, np.zeros(3))
-        costs.append((usual.cost, slip.cost))
+        predictions = predictor.predict(2.0, np.zeros(3))
+        assert predictions.slip is not None
+        costs.append((predictions.usual.cost, predictions.slip.cost))
     # The first of 20 slips followed 20 scans without one, and the others each followed a slip.
     np.testing.assert_allclose(costs, -np.log([[39 / 40, 1 / 40], [1 / 21, 20 / 21]]))
     restored, state = PosePredictor(OdometryModel(OdometryConfig())), predictor.state(SmallObjects(), 0.0)
     assert state is not None
     restored.restore(state)
-    restored_usual, restored_slip, *_ = restored.predict(2.1, np.zeros(3))
-    assert (restored_usual.cost, restored_slip.cost) == costs[-1]
+    predictions = restored.predict(2.1, np.zeros(3))
+    assert predictions.slip is not None
+    assert (predictions.usual.cost, predictions.slip.cost) == costs[-1]
