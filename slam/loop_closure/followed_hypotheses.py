@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from .criteria import MIN_KNOWN, admits_closure, differ, fits, is_determined
+from .criteria import MIN_KNOWN, MIN_SUPPORT, admits_closure, differ, fits, is_determined
 from .decision import LoopDecision
 from .look import Look
+from .look_back import look_back
 from .loop_hypothesis import LoopHypothesis
 from .votes import Vote
 
@@ -53,6 +54,8 @@ class FollowedHypotheses:
             supports = fits(vote.match) and vote.match.quality >= least
             if supports and is_determined(vote.match):
                 _support(hypothesis, look, vote)
+                if len(hypothesis.support) == MIN_SUPPORT:
+                    look_back(hypothesis, look, MEMORY)
             elif not supports and vote.match.known >= MIN_KNOWN:
                 hypothesis.contradictions.append(look.travelled)
         for vote in new:

@@ -27,6 +27,9 @@ from .submap_search import REVISIT_GAP, SUBMAP_LENGTH, Submap, SubmapMatch, buil
 SEARCH_INTERVAL = SUBMAP_LENGTH / 3.0
 # Metres of driving between the middles of the submaps of old places. Origin: definition, half a submap.
 SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
+# Metres around an old place within which the robot is searched if the estimate is in doubt: it may be beside the
+# path of earlier passes. Origin: chosen, for time, as the width of a road; not measured.
+DOUBTED_REACH = 2.0 * REFERENCE_DISTANCE
 # Submaps of old places that are kept. Origin: measured on four recordings: each has 1.3 MB, and with twice as many, at
 # most a fifth to a third fewer are built.
 MAX_SUBMAPS = 6
@@ -86,7 +89,7 @@ class Look:
         keyframe: int | None = None,
         doubted: bool = False,
     ) -> None:
-        self._mapper, self._field, self._submaps = mapper, local_field, submaps
+        self._mapper, self._field, self._submaps, self._among = mapper, local_field, submaps, among
         self._travelled = np.asarray(mapper.travelled)
         self._ways = local_field.ways(mapper.travelled)
         self.last = mapper.keyframe_count - 1 if keyframe is None else keyframe
@@ -99,7 +102,6 @@ class Look:
         old = np.flatnonzero(eligible & (apart | (self._travelled < self.travelled - REVISIT_GAP)))
         number = np.floor(self._travelled[old] / SUBMAP_INTERVAL)
         self._old = old[np.flatnonzero(np.diff(number, prepend=-1.0))]  # keyframes in the middle of old submaps
-        self._distances = np.hypot(*(poses[self._old, :2] - self.pose[:2]).T)
         self._submap: Submap | None = None
 
     def doubting_estimate(self) -> Look:
@@ -107,6 +109,20 @@ class Look:
         other = copy(self)
         other.uncertainty = RelativeUncertainty(self._mapper, self.last, doubted=True)
         return other
+
+    def at_distance(self, travelled: float) -> Look | None:
+        """Return the look from the last keyframe up to a distance driven (metres); None if that is in another part."""
+        keyframe = int(np.searchsorted(self._travelled, travelled, side="right")) - 1
+        if keyframe < self.first_of_part:
+            return None
+        return Look(
+            self._mapper, self._field, self._submaps, self._among,
+            apart=self._apart, keyframe=keyframe, doubted=self.uncertainty.doubted,
+        )  # fmt: skip
+
+    def determines_motion_to(self, later: int) -> bool:
+        """Return True if scans determine the whole motion from this look's keyframe to a later one."""
+        return not self._field.is_undetermined(self.last, later)
 
     @property
     def submap(self) -> Submap:
@@ -132,9 +148,20 @@ class Look:
         return OldPlace(keyframes, se2.between(poses[centre], poses[keyframes]).reshape(-1, 3))
 
     def place_at(self, pose: se2.Pose) -> int | None:
-        """Return the keyframe in the middle of the oldest submap near a pose in the map."""
-        near = np.hypot(*(self._mapper.keyframe_poses[self._old, :2] - pose[:2]).T) < REFERENCE_DISTANCE
+        """Return the keyframe in the middle of the oldest submap near a pose in the map; None if there is none."""
+        near = self._distances_to(pose) < REFERENCE_DISTANCE
         return int(self._old[near.argmax()]) if near.any() else None
+
+    def place_in_view(self, pose: se2.Pose) -> int | None:
+        """Return the place at a pose in the map, or else the nearest one whose points may be seen from there."""
+        if (place := self.place_at(pose)) is not None:
+            return place
+        distances = self._distances_to(pose)
+        return int(self._old[distances.argmin()]) if distances.min(initial=np.inf) < FIELD_HALF_WIDTH else None
+
+    def _distances_to(self, pose: se2.Pose) -> Floats:
+        """Return the distances (m,) of the middles of all old submaps from a pose in the map, metres."""
+        return np.asarray(np.hypot(*(self._mapper.keyframe_poses[self._old, :2] - pose[:2]).T))
 
     def possible_places(self) -> list[int]:
         """Return the old places where the robot may be by the uncertainty of the estimate.
@@ -147,7 +174,7 @@ class Look:
         deviations = self.uncertainty.error_scale(self._old, self.last) * (sigmas[self._old] + self._last_sigma(sigmas))
         bound = SEARCH_DEVIATIONS * (deviations + UNMODELLED_SIGMAS[0])
         chosen = list[int]()
-        for keyframe in self._old[self._distances < bound + REFERENCE_DISTANCE].tolist():
+        for keyframe in self._old[self._distances_to(self.pose) < bound + REFERENCE_DISTANCE].tolist():
             if np.hypot(*(poses[chosen, :2] - poses[keyframe, :2]).T).min(initial=np.inf) > REFERENCE_DISTANCE:
                 chosen.append(keyframe)
         self.uncertainty.find_covariances(chosen)
@@ -171,6 +198,11 @@ class Look:
     def motion(self, old: int, relative: se2.Pose) -> se2.Pose:
         """Return the motion in the map that a pose of the submap in that of an old place implies."""
         return se2.compose(se2.compose(self._mapper.keyframe_poses[old], relative), se2.inverse(self.pose))
+
+    def motion_of(self, match: LoopMatch) -> se2.Pose:
+        """Return the motion in the map that the match of a look implies."""
+        poses = self._mapper.keyframe_poses
+        return se2.compose(se2.compose(poses[match.old], match.relative), se2.inverse(poses[match.keyframe]))
 
     def admits(self, old: int, relative: se2.Pose) -> bool:
         """Return True if the estimate's uncertainty admits a pose of the submap in that of an old place."""
@@ -225,9 +257,10 @@ class Look:
     def search(self, old: int) -> Sequence[SubmapMatch]:
         """Return the poses of the submap in that of an old place that the estimate's uncertainty admits."""
         prediction, reach = self.relative(old, np.zeros(3)), self.uncertainty.search_radius(old)
-        if reach > REFERENCE_DISTANCE:  # the robot is near this place, or else near another one
+        widest = DOUBTED_REACH if self.uncertainty.doubted else REFERENCE_DISTANCE
+        if reach > widest:  # the robot is near this place, or else near another one
             prediction = np.array([0.0, 0.0, prediction[2]])
-        reach = min(REFERENCE_DISTANCE, reach)
+        reach = min(widest, reach)
         turn = SEARCH_DEVIATIONS * float(np.sqrt(self.uncertainty.covariance(old)[2, 2]))
         found = search_submap(self.submap, self.old_submap(old), prediction, reach, turn)
         return [match for match in found if self.admits(old, match.pose)]

@@ -64,9 +64,17 @@ def vote_at(look: Look, motion: se2.Pose, since: int) -> Vote | None:
     since  keyframe of the last look that supports the motion, see `Look.test`
     """
     old = look.place_at(se2.compose(motion, look.pose))
-    if old is None:
-        return None
-    match = look.test(old, motion, since)
+    return None if old is None else _vote(look, old, look.test(old, motion, since))
+
+
+def vote_in_view(look: Look, motion: se2.Pose) -> Vote | None:
+    """Return the vote of a look with the place that it sees from where a motion in the map has the robot, if any."""
+    old = look.place_in_view(se2.compose(motion, look.pose))
+    return None if old is None else _vote(look, old, look.test(old, motion, look.last))
+
+
+def _vote(look: Look, old: int, match: SubmapMatch) -> Vote:
+    """Return the vote for the motion that follows from the match of a look with an old place."""
     return Vote(old, match, look.motion(old, match.pose))
 
 
@@ -78,7 +86,7 @@ def is_good(vote: Vote) -> bool:
 def find_votes(look: Look, places: Sequence[int], search: Search) -> list[Vote]:
     """Return the votes for distinct motions, those with the best matches first."""
     found = [(old, match) for old in places for match in search(look, old)]
-    votes = [Vote(old, match, look.motion(old, match.pose)) for old, match in found]
+    votes = [_vote(look, old, match) for old, match in found]
     distinct: list[Vote] = []
     for vote in sorted(filter(is_good, votes), key=lambda vote: -vote.match.score):
         if all(differ(look, vote.motion, other.motion) for other in distinct):

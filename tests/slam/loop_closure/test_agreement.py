@@ -11,7 +11,7 @@ import pytest
 from drivers import se2
 from features.normal_limits import NORMAL_LIMIT
 from slam.geometry.segments import CornerPoints, Floats, Segments
-from slam.localisation.local_field import LocalField
+from slam.localisation.local_field import REFERENCE_DISTANCE, LocalField
 from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision, LoopMatch
@@ -83,6 +83,7 @@ def drive_twice(
     apart: bool = False,
     until: float = 15.0,
     room: Floats = ROOM,
+    begin: float = 1.0,
     end: float = 15.0,
     sigmas: Floats = SIGMAS,
 ) -> tuple[list[LoopDecision], LocalField, LoopAgreement]:
@@ -98,7 +99,7 @@ def drive_twice(
     for lap, moved in enumerate([np.zeros(3), se2.compose(elsewhere, drift)]):
         if apart and lap:
             state.landmarks.parts.begin(state.keyframe_count, measured=True)
-        for x in np.arange(1.0, until if lap else end, STEP):
+        for x in np.arange(1.0 if lap else begin, until if lap else end, STEP):
             inside = np.array([x, 1.5, 0.0])
             points = with_noise(visible(room, inside), random)
             local_field.add(ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(points)))
@@ -150,6 +151,19 @@ def test_drift_beyond_the_uncertainty_of_the_estimate_is_corrected_if_correlated
     (span,) = [check for check in accepted.checks if check.name == "span"]
     assert span.value >= span.gate >= SUBMAP_LENGTH
     assert drive_twice(np.array([0.1, 2.5, 0.0]), np.zeros(3), sigmas=certain, **hall)[0] == []
+
+
+def test_looks_before_the_one_that_proposes_a_loop_count_if_they_see_the_place() -> None:
+    """The first pass begins at x = 14 m. The second one begins 13 m before that, and ends 1 m after that."""
+    drift, begin = np.array([0.3, 0.7, 0.01]), 14.0
+    found, _, _ = drive_twice(drift, np.zeros(3), room=HALL, begin=begin, end=35.0, until=15.0)
+    assert found
+    seen_at = [match.relative[0] for match in found[0].matches]
+    assert min(seen_at) < -REFERENCE_DISTANCE  # metres before the first pass
+    assert seen_at == sorted(seen_at)
+    left = se2.compose(found[0].correction, drift)
+    assert np.hypot(*left[:2]) < 0.15
+    assert abs(left[2]) < 0.01
 
 
 def test_interruptions_do_not_change_what_is_accepted() -> None:
