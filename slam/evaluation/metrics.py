@@ -25,11 +25,11 @@ MAX_TIME_DIFFERENCE = 0.01
 MIN_ALIGNED_PAIRS = 2
 """Pairs of poses required for an alignment."""
 MIN_UNRELATED_TURN = 0.1
-"""Radians; RMS error of turns below which motions are taken to be of one drive: on straight drives, the turns of both are
-noise. Origin: chosen, several times the error that odometry alone makes in a metre; not measured."""
+"""Radians; RMS error of turns below which motions are taken to be of one drive: on straight drives, the turns of both
+are noise. Origin: chosen, several times the error that odometry alone makes in a metre; not measured."""
 MIN_EXPLAINED_TURNS = 0.5
-"""Share of the mean squared turn that a trajectory of the same drive explains. Origin: chosen, poor trajectories explain
-nearly all of it, those of other drives nothing; not measured."""
+"""Least share of the mean squared turn that a trajectory of the same drive explains. Origin: chosen, poor trajectories
+explain nearly all of it, those of other drives nothing; not measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
