@@ -172,10 +172,7 @@ def _contents(path: Path) -> str:
 def _replay(spec: str) -> Source:
     path, _, query = spec.removeprefix("replay:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
-    try:
-        speed = float(options.pop("speed", "1"))
-    except ValueError as error:
-        raise RecordingError(spec, None, f"not a number: {error}") from error
+    speed = _number(spec, "speed", options.pop("speed", "1"))
     if options or not 0.0 < speed < math.inf:
         raise RecordingError(spec, None, "the only option is speed, a positive number")
     return Replay(_open(path), speed)
@@ -186,14 +183,10 @@ def _simulation(spec: str) -> Source:
 
     world, _, query = spec.removeprefix("sim:").partition("?")
     options = dict(parse_qsl(query, keep_blank_values=True))
-    try:
-        seed = int(options.pop("seed", "0"))
-        duration = float(options.pop("duration")) if "duration" in options else None
-        mount = [float(value) for value in options.pop("mount", "0.1,0,0").split(",")]
-        second = options.pop("second_mount", None)
-        second_mount = None if second is None else [float(value) for value in second.split(",")]
-    except ValueError as error:
-        raise RecordingError(spec, None, f"not a number: {error}") from error
+    seed = _whole_number(spec, "seed", options.pop("seed", "0"))
+    duration = _number(spec, "duration", options.pop("duration")) if "duration" in options else None
+    mount = _numbers(spec, "mount", options.pop("mount", "0.1,0,0"))
+    second_mount = _numbers(spec, "second_mount", options.pop("second_mount")) if "second_mount" in options else None
     lidar, wheels = options.pop("lidar", "long"), options.pop("odometry", "good")
     if lidar not in LIDAR_MODELS:
         raise RecordingError(spec, None, f"no lidar {lidar!r}; choose one of {', '.join(LIDAR_MODELS)}")
@@ -203,3 +196,24 @@ def _simulation(spec: str) -> Source:
         known = "seed, duration, lidar, odometry, mount=x,y,heading and second_mount=x,y,heading"
         raise RecordingError(spec, None, f"unknown option {', '.join(options)}; known are {known}")
     return Simulation(world or "office", seed, duration, LIDAR_MODELS[lidar], WHEEL_MODELS[wheels], mount, second_mount)
+
+
+def _numbers(spec: str, option: str, text: str) -> list[float]:
+    """Return the numbers that an option of a source lists, between commas. Raises RecordingError."""
+    return [_number(spec, option, part) for part in text.split(",")]
+
+
+def _number(spec: str, option: str, text: str) -> float:
+    """Return the value of an option of a source. Raises RecordingError if it is not a number."""
+    try:
+        return float(text)
+    except ValueError as error:
+        raise RecordingError(spec, None, f"{option} must be a number, not {text!r}") from error
+
+
+def _whole_number(spec: str, option: str, text: str) -> int:
+    """Return the value of an option of a source. Raises RecordingError if it is not a whole number."""
+    try:
+        return int(text)
+    except ValueError as error:
+        raise RecordingError(spec, None, f"{option} must be a whole number, not {text!r}") from error

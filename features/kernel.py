@@ -165,6 +165,8 @@ def fit_segment(
     bearing_spread = bearing_variance(get_column(segments.sums, segment))
     if not (chi2 <= MAX_CHI2 * (used - 2) and bearing_spread >= MIN_BEARING_VARIANCE * settings.sigma_bearing**2):
         return False, estimated
+    if not cuu * cvv > cuv * cuv:  # the weights leave so few bearings that their noise alone explains the spread
+        return False, estimated
     begin, end = trim_ends(rays, count, begin, end, u, v, settings)
     if settings.estimator != MAXIMUM_LIKELIHOOD:
         part = select_inliers(part, u, v, settings, buffer)

@@ -73,14 +73,17 @@ def parse_device_options(lidar: list[str] | None, base: list[str] | None) -> lis
     return specs
 
 
-def check_recording_file(file: Path, overwrite: bool) -> None:
-    """Check that a recording can be written to this file. Raises BadParameter or RecordingError."""
+def check_recording_file(file: Path, overwrite: bool, option: str) -> None:
+    """Check that a recording can be written to this file, which an option names.
+
+    Raises BadParameter or RecordingError.
+    """
     from drivers.errors import RecordingError
 
     from ..io.disk_reserve import free_space
 
     if file.suffix != ".mcap":
-        raise typer.BadParameter(f"{file}: the name of a recording must end with .mcap")
+        raise typer.BadParameter(f"{file}: the name must end with .mcap", param_hint=option)
     if file.exists() and not overwrite:
         raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
     if file.parent.is_dir() and (free := free_space(file.parent)) < MIN_FREE_SPACE:

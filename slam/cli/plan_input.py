@@ -39,6 +39,8 @@ class PlanOptions:
         """Check the options together with the `session` of other options. Raises BadParameter."""
         if self.path is not None and session is not None:
             raise typer.BadParameter("cannot be combined with --continue or --localize", param_hint="--plan")
+        if self.path is None and (self.unit is not None or self.layers) and not (session and is_plan(session)):
+            raise typer.BadParameter("no plan is given", param_hint="--plan-unit / --plan-layer")
 
 
 NO_PLAN = PlanOptions()

@@ -62,7 +62,7 @@ def prepare_run(
     session, pose = continued or localized, parse_pose(start, "--start")
     if session is None and plan.path is None and pose is not None:
         raise typer.BadParameter("needs a map, by --continue, --localize or --plan", param_hint="--start")
-    if session is None or is_plan(session):
+    if session is None or is_plan(session) or (localized and localized.is_file()):  # if no plan, reading it says so
         loaded = load_config(config, settings or ())
         if session is None:
             return RunSetup(

@@ -18,7 +18,7 @@ from ..geometry.small_matrices import inverse, is_positive_definite
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
-from ..mapping.data_association import associate
+from ..mapping.data_association import RowAssociation, associate
 from ..mapping.keyframes import KeyframeObservations, WallMerge
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
@@ -197,10 +197,10 @@ def extend_trajectory(state: SlamState, stamp: float, tracking: TrackingResult) 
     state.trajectory.add(stamp, keyframe, relative, tracking.registration.total_information)
 
 
-def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
-    """Associate the scan's features, solve the graph, read the map back, and search for a loop."""
-    mapper, features = state.mapper, scan.features
-    corrected = features.without_range_bias(mapper.graph.range_bias.metres)
+def _associate(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> RowAssociation:
+    """Associate the scan's features with the local map, and learn the roughness of the walls that are matched."""
+    mapper = state.mapper
+    corrected = scan.features.without_range_bias(mapper.graph.range_bias.metres)
     association = associate(
         state.pose,
         tracking.registered_covariance,
@@ -212,6 +212,13 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     mapper.roughness.add_scan(
         tracking.pose, tracking.covariance, corrected.segments, state.local_map, association.walls
     )
+    return association
+
+
+def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
+    """Associate the scan's features, solve the graph, read the map back, and search for a loop."""
+    mapper, features = state.mapper, scan.features
+    association = _associate(state, scan, tracking)
     timer.lap("association")
     begins_part = state.at_part_begin
     motion = None if state.anchor is None else motion_since(state, state.anchor, scan.odometry, tracking)

@@ -24,6 +24,12 @@ MAX_TIME_DIFFERENCE = 0.01
 """Seconds between the stamps of two poses that are compared; as in evo."""
 MIN_ALIGNED_PAIRS = 2
 """Pairs of poses required for an alignment."""
+MIN_UNRELATED_TURN = 0.1
+"""Radians; RMS error of turns below which motions are taken to be of one drive: on straight drives, the turns of both
+are noise. Origin: chosen, several times the error that odometry alone makes in a metre; not measured."""
+MIN_EXPLAINED_TURNS = 0.5
+"""Least share of the mean squared turn that a trajectory of the same drive explains. Origin: chosen, poor trajectories
+explain nearly all of it, those of other drives nothing; not measured."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,6 +47,18 @@ def motion_errors(estimated: Floats, true: Floats) -> MotionErrors:
     """Return the errors of motions (n, 3): norm of the translation error, absolute value of the heading error."""
     difference = estimated - true
     return MotionErrors(np.hypot(difference[:, 0], difference[:, 1]), np.abs(se2.wrap(difference[:, 2])))
+
+
+def are_unrelated(errors: MotionErrors, true: Floats) -> bool:
+    """Return True if a trajectory explains less than half of the turns of the true motions (n, 3), as of another drive.
+
+    The share that it explains is 1 - (mean squared error) / (mean squared turn): zero for a straight path, and negative
+    on average if the turns of both are independent.
+    """
+    if not len(errors):
+        return False
+    unexplained = math.sqrt(1.0 - MIN_EXPLAINED_TURNS) * _rms(se2.wrap(true[:, 2]))
+    return _rms(errors.rotation) > max(unexplained, MIN_UNRELATED_TURN)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,12 +90,14 @@ class RelationsScore:
     first         (n,) first stamps of the relations, seconds
     missing       number of relations outside the trajectory's time
     interpolated  share of relations with an interpolated pose
+    unrelated     true if the trajectory is probably of another drive, see `are_unrelated`
     """
 
     errors: MotionErrors
     first: Floats
     missing: int
     interpolated: float
+    unrelated: bool
 
     def figures(self) -> dict[str, float]:
         """Return the benchmark's figures in metres and degrees, rounded to meaningful digits."""
@@ -109,11 +129,14 @@ def score_relations(trajectory: Trajectory, relations: Relations) -> RelationsSc
         raise MapError("no relation lies within the trajectory's time: are both of the same recording?")
     estimated = se2.between(start.poses[covered], end.poses[covered])
     exact = (start.exact & end.exact)[covered]
+    true = relations.motion[covered]
+    errors = motion_errors(estimated, true)
     return RelationsScore(
-        motion_errors(estimated, relations.motion[covered]),
+        errors,
         relations.first[covered],
         int(np.sum(~covered)),
         float(1 - exact.mean()),
+        are_unrelated(errors, true),
     )
 
 
@@ -127,6 +150,7 @@ class ReferenceScore:
     alignment  [x, y, heading] of the alignment: aligned = compose(alignment, pose)
     absolute   errors of the aligned poses
     relative   errors of the motions over `step` metres of the reference's path, from every pose; may be empty
+    unrelated  true if the trajectory is probably of another drive, see `are_unrelated`
     """
 
     stamps: Floats
@@ -136,6 +160,7 @@ class ReferenceScore:
     absolute: MotionErrors
     relative: MotionErrors
     step: float
+    unrelated: bool
 
     def figures(self) -> dict[str, float]:
         """Return absolute trajectory error (ate) and relative pose error (rpe) in metres and degrees, mostly as RMS."""
@@ -169,12 +194,17 @@ def score_reference(trajectory: Trajectory, reference: Trajectory, step: float =
     alignment = align(poses[:, :2], truth[:, :2])
     aligned = se2.compose(alignment, poses)
     first, second = pairs_by_distance(truth[:, :2], step)
-    relative = motion_errors(
-        se2.between(poses[first], poses[second]),
-        se2.between(truth[first], truth[second]),
-    )
+    true = se2.between(truth[first], truth[second])
+    relative = motion_errors(se2.between(poses[first], poses[second]), true)
     return ReferenceScore(
-        reference.stamps[other], truth, aligned, alignment, motion_errors(aligned, truth), relative, step
+        reference.stamps[other],
+        truth,
+        aligned,
+        alignment,
+        motion_errors(aligned, truth),
+        relative,
+        step,
+        are_unrelated(relative, true),
     )
 
 

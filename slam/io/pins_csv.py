@@ -45,6 +45,8 @@ def read_pins(path: Path) -> PinSet:
 
 
 def _check_header(path: Path, header: list[str]) -> None:
+    if not header:
+        raise MapError(f"{path}: is empty")
     missing = [name for name in REQUIRED if name not in header]
     unknown = [name for name in header if name not in COLUMNS]
     if missing:

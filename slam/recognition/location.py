@@ -230,7 +230,7 @@ class _Comparison:
         """Return the pose of the session's map in the other one as text, that of the submap in its middle."""
         middle = len(self._new.submaps) // 2
         motion = se2.compose(self._placements[row].poses[middle], se2.inverse(self._new.submaps[middle].pose))
-        return f"x {motion[0]:.1f} m, y {motion[1]:.1f} m, {math.degrees(motion[2]):.0f} degrees"
+        return f"x {motion[0]:z.1f} m, y {motion[1]:z.1f} m, {math.degrees(motion[2]):z.0f} degrees"
 
 
 def _covariance(information: Floats) -> Floats:

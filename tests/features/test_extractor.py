@@ -188,6 +188,17 @@ def test_features_are_not_overwritten_by_the_next_scan() -> None:
     np.testing.assert_array_equal(features.corners.position, before[1])
 
 
+@pytest.mark.parametrize("sigma_bearing", [0.02, 0.04, 0.0999])
+def test_a_bearing_noise_far_above_the_true_one_leaves_no_line_without_a_covariance(
+    simulate: Callable[..., object], sigma_bearing: float
+) -> None:
+    for adapt_noise in (False, True):
+        extractor = Extractor(Noise(0.01, sigma_bearing), adapt_noise=adapt_noise)
+        for seed in range(20):
+            scan = simulate(seed, beams=500, sigma_range=0.01, sigma_bearing=np.radians(0.05))
+            assert_valid(extractor.extract(scan.ranges, scan.angles), 500)
+
+
 @pytest.mark.parametrize("given_sigma", [0.002, 0.01, 0.05])
 @pytest.mark.parametrize("true_sigma", [0.005, 0.01, 0.03])
 def test_range_noise_is_estimated(simulate: Callable[..., object], given_sigma: float, true_sigma: float) -> None:

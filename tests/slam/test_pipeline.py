@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import NoReturn
 
@@ -407,12 +407,10 @@ def test_the_session_is_available_after_finish_only() -> None:
         _ = Slam().session
 
 
-def test_features_without_certainty_give_a_map_or_an_error_of_one_line() -> None:
-    slam = Slam(Config.model_validate({"lidar": {"sigma_bearing": 0.099999}}))
-    with suppress(MapError):
-        for message in Simulation("room", seed=3, duration=6.0):
-            slam.add(message)
-        slam.finish()
+@pytest.mark.parametrize("sigma", [0.03, 0.05, 0.099999])
+def test_the_largest_bearing_noise_that_can_be_set_still_gives_a_trajectory(sigma: float) -> None:
+    messages = list(Simulation("room", seed=3, duration=6.0))
+    assert error(run(messages, Config.model_validate({"lidar": {"sigma_bearing": sigma}})), messages) < 0.012
 
 
 @pytest.mark.parametrize("reading", [5.0, 6.0, 0.0, -1.0, np.inf])

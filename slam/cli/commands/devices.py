@@ -33,6 +33,8 @@ def devices(
     """
     from drivers.devices.device_spec import parse_devices
 
+    if seconds is not None and not watch:
+        raise typer.BadParameter("has no effect without --watch", param_hint="--for")
     requested = parse_devices(" + ".join(specs)) if specs else []
     if watch:
         if not requested:

@@ -64,7 +64,9 @@ def diff(
         if path is not None and path.suffix != suffix:
             raise OutputError(f"{path}: the name must end with {suffix}")
     guess = parse_pose(at, "--at")
-    earlier, later = _surveys(old, new, PlanOptions(old, plan_unit, plan_layer or ()), guess is None)
+    on_plan = PlanOptions(None, plan_unit, plan_layer or ())
+    on_plan.check(old)
+    earlier, later = _surveys(old, new, on_plan, guess is None)
     try:
         found = compare(earlier, later, false_discovery_rate, guess)
     except MapError as error:
@@ -98,7 +100,7 @@ def _surveys(old: Path, new: Path, on_plan: PlanOptions, searched: bool) -> tupl
 
     with print_if_slow(READING_SESSION):
         later = survey_session(new, read_session(new))
-        if is_plan(old):
+        if is_plan(old) or old.is_file():
             plan_map = load_plan(old, on_plan, load_config(new / CONFIG))
             return survey_plan(plan_map, searched=searched), later
         return survey_session(old, read_session(old)), later

@@ -92,6 +92,7 @@ def _against_relations(
             f"{figures['compared']} relations, and at {100 * figures['path_fits_better_of_large']:.0f} % of "
             f"{figures['large_errors']} with the largest errors, from {figures['large_errors_from']:.3f} m on"
         )
+    _warn_if_unrelated(trajectory, relations, score.unrelated)
     if plot is not None:
         from ...visualisation.plots import plot_relations
 
@@ -99,6 +100,12 @@ def _against_relations(
     if score.missing:
         print_message(f"{trajectory}: {score.missing} relations lie outside the trajectory's time and are not scored")
         raise typer.Exit(EXIT_INCOMPLETE)
+
+
+def _warn_if_unrelated(trajectory: Path, true: Path, unrelated: bool) -> None:
+    """Print a warning if the stamps of trajectory and truth overlap by chance, and the drives are different ones."""
+    if unrelated:
+        print_message(f"{trajectory}: its turns are not those of {true}: are both of the same drive?")
 
 
 def _fit_figures(path: Trajectory, relations: Relations, recording: Path) -> dict[str, float]:
@@ -129,6 +136,7 @@ def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_
                 f"over {score.step:g} m"
             )
         typer.echo(f"poses     {figures['poses']} at common times")
+    _warn_if_unrelated(trajectory, reference, score.unrelated)
     if plot is not None:
         from ...visualisation.plots import plot_reference
 

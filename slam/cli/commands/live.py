@@ -98,10 +98,10 @@ def live(
     setup = prepare_run(continued, localized, config, settings, start_pose, on_plan)
     with_page = web or web_address is not None
     specs, driving = _devices(lidar, base, drive, max_speed, max_turn_rate, with_page=with_page)
+    if record is not None:
+        check_recording_file(record, overwrite, "--record")
     if no_odometry or not base:
         setup = without_odometry(setup, "--no-odometry" if no_odometry else "no --base")
-    if record is not None:
-        check_recording_file(record, overwrite)
     with (
         _server(address, port) if review and serve else nullcontext() as server,
         open_page(web_address) if with_page else nullcontext() as page,

@@ -33,6 +33,8 @@ class Format(StrEnum):
 
 REGULAR = (Format.GEOJSON, Format.SVG, Format.DXF)
 """Formats of drawings, in which walls can be made regular."""
+OF_POINTS = (Format.PGM, Format.PLY)
+"""Formats that contain scans, which are read from the recording."""
 
 
 def export_map(
@@ -78,10 +80,12 @@ def export_map(
         raise typer.BadParameter("must be less than --occupied", param_hint="--free")
     if regular and form not in REGULAR:
         raise typer.BadParameter("is for geojson, svg and dxf", param_hint="--regular")
+    if recording is not None and form not in OF_POINTS:
+        raise typer.BadParameter("is for pgm and ply", param_hint="--recording")
     read = _regular(session, read_run_results(session)) if regular else read_run_results(session)
     target = out or session / (POINTS if form is Format.PLY else f"{EXPORTED}.{form}")
     if target.suffix != f".{form}":
-        raise OutputError(f"{target}: the name of a {form} file must end with .{form}")
+        raise OutputError(f"{target}: the name must end with .{form}")
     if form is Format.PGM:
         _write_pgm(target, read, recording, resolution, (occupied, free), overwrite)
         return

@@ -80,7 +80,7 @@ def measure(
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
     target = out or (session / f"{MEASURED}.{form}" if drawn else None)
     if target is not None and target.suffix != f".{form}":
-        raise OutputError(f"{target}: the name of a {form} file must end with .{form}")
+        raise OutputError(f"{target}: the name must end with .{form}")
     with print_if_slow(READING_SESSION):
         wall_map = read_wall_map(session)
     if regular:

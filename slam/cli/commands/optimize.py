@@ -57,11 +57,15 @@ def optimize(
     if path.suffix.lower() in POSE_GRAPHS:
         from .optimize_graph import optimize_graph
 
+        _refuse_settings(config, settings, "a pose graph has no settings")
         typer.echo("\n".join(optimize_graph(path, out, overwrite=overwrite, robust=robust, picture=plot)))
         return
     from .optimize_session import optimize_recording, optimize_session
 
+    if robust:
+        raise typer.BadParameter("is for pose graphs", param_hint="--robust")
     if is_session(path) or (path / MAP).is_file():
+        _refuse_settings(config, settings, "a session has its own settings")
         lines = optimize_session(path, out, overwrite=overwrite, review=review, picture=plot)
     else:
         from ...config import load_config
@@ -69,3 +73,9 @@ def optimize(
         effective = load_config(config, settings or ())
         lines = optimize_recording(source, effective, out, overwrite=overwrite, review=review, picture=plot)
     typer.echo("\n".join(lines))
+
+
+def _refuse_settings(config: Path | None, settings: list[str] | None, reason: str) -> None:
+    """Raise BadParameter if settings are stated that would have no effect."""
+    if config is not None or settings:
+        raise typer.BadParameter(reason, param_hint="--config / --set")

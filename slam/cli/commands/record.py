@@ -31,7 +31,7 @@ def record(
     from drivers.devices.acquisition import Acquisition
 
     specs = parse_device_options(lidar, base)
-    check_recording_file(file, overwrite)
+    check_recording_file(file, overwrite, "FILE.mcap")
     with Acquisition(specs, file, deliver=False) as acquisition:
         _wait(acquisition, duration)
     typer.echo(summary(file, acquisition.snapshot))

@@ -12,7 +12,8 @@ from ...io.wall_maps import settled_wall_map
 from ...mapping.map_features import MapCorners
 from ...mapping.plan_map import PlanMap
 from ...measuring.wall_map import WallGeometry
-from .changes import MapDiff, find_changes
+from .changes import MapDiff
+from .comparison import find_changes
 from .surveys import Survey, survey_settled
 
 NO_CORNERS = MapCorners(

@@ -64,6 +64,11 @@ class Sightings:
     seen: Floats
     looked_at: Floats
 
+    @property
+    def walls_not_seen_through(self) -> int:
+        """Number of walls that scans have looked at and that have no stretch: tests without evidence of a change."""
+        return int((self.looked_at > 0.0).sum()) - len({stretch.wall for stretch in self.stretches})
+
 
 def find_sightings(owner: Survey, survey: Survey, motion: se2.Pose) -> Sightings:
     """Return what the scans of `survey` show of the walls of the map of `owner`, in which its map is at `motion`.

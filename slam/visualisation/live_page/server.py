@@ -24,7 +24,7 @@ from urllib.parse import urlsplit
 from tornado.httpserver import HTTPServer
 from tornado.web import Application, url
 
-from ...errors import OutputError
+from ..server_socket import bind_first_free
 from .live_state import LiveState
 from .requests import Client, PageActions, PageHandler
 
@@ -52,7 +52,8 @@ class PageServer:
 
     def __init__(self, state: LiveState, address: str = LOCALHOST, port: int | None = None) -> None:
         self.state, self.actions = state, PageActions()
-        self._socket = _bind_first_free(address, (PORT, 0) if port is None else (port,))
+        self._socket = bind_first_free(address, (PORT, 0) if port is None else (port,), "the page")
+        self._socket.setblocking(False)
         self.address: str = self._socket.getsockname()[0]
         self.port: int = self._socket.getsockname()[1]
         self.token = "" if ip_address(self.address).is_loopback else secrets.token_urlsafe(16)
@@ -145,20 +146,6 @@ def _page() -> tuple[str, str]:
         "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
     )
     return Template(parts["html"]).substitute(style=parts["css"], script=parts["js"]), policy
-
-
-def _bind_first_free(address: str, ports: tuple[int, ...]) -> socket.socket:
-    failure: OSError | None = None
-    for port in ports:
-        try:
-            family = socket.AF_INET6 if ":" in address else socket.AF_INET
-            bound = socket.create_server((address, port), family=family)
-            bound.setblocking(False)
-            return bound
-        except OSError as error:
-            failure = error
-    assert failure is not None
-    raise OutputError(f"{address}: the page cannot be served at port {ports[-1]}: {failure.strerror or failure}")
 
 
 def _silence_log() -> None:

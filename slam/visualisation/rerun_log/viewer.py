@@ -7,12 +7,11 @@ restarted, would be lost.
 from __future__ import annotations
 
 import socket
-from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from ...errors import OutputError
+from ..server_socket import bind_first_free
 
 LOCALHOST, ALL_INTERFACES = "127.0.0.1", "0.0.0.0"
 PORT = 9877
@@ -44,7 +43,7 @@ class ViewerServer:
     """
 
     def __init__(self, address: str = LOCALHOST, port: int | None = None, *, default: int = PORT) -> None:
-        self._socket = _bind_first_free(address, (default, 0) if port is None else (port,))
+        self._socket = bind_first_free(address, (default, 0) if port is None else (port,), "viewers")
         self.address: str = self._socket.getsockname()[0]
         self.port: int = self._socket.getsockname()[1]
 
@@ -78,14 +77,3 @@ class ViewerServer:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.release()
-
-
-def _bind_first_free(address: str, ports: Sequence[int]) -> socket.socket:
-    failures: list[OSError] = []
-    for port in ports:
-        try:
-            return socket.create_server((address, port))
-        except OSError as error:
-            failures.append(error)
-    reason = failures[-1].strerror or failures[-1]
-    raise OutputError(f"{address}: viewers cannot be served at port {ports[-1]}: {reason}")

@@ -279,6 +279,11 @@ def test_a_wrong_option_without_a_command_is_a_one_line_error(wclm: Any) -> None
     wclm.refuses("--bogus", because=["No such option: --bogus; see ", " --help"])
 
 
+@pytest.mark.parametrize("option", ["--datasets", "--versions"])
+def test_benchmarks_do_not_run_without_the_directory_that_is_named(wclm: Any, option: str) -> None:
+    wclm.refuses("bench", "slam", option, "nowhere", because=[option, "dir 'nowhere' does not exist"])
+
+
 @pytest.mark.parametrize("command", ["run", "info", "map", "measure", "review", "simulate", "eval", "batch", "merge"])
 def test_usage_has_the_words_for_arguments_that_the_help_uses(wclm: Any, command: str) -> None:
     usage = re.sub(r"\s+", " ", wclm(command, "--help").stdout)

@@ -206,6 +206,7 @@ def test_loops_are_forbidden_and_closed_by_hand(wclm: Any, mapped: Path, tmp_pat
 def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_path: Path) -> None:
     files = {file: file.read_bytes() for file in session.rglob("*") if file.is_file()}
     (tmp_path / "one.csv").write_text(HEADER + "pose,10,1,2,0.01\n")
+    (tmp_path / "empty.csv").write_text("")
     (tmp_path / "late.csv").write_text(HEADER + "pose,1e6,1,2,0.01\n")
     (tmp_path / "unknown.csv").write_text(HEADER + "wall,999,1,2,0.01\n")
     wclm.refuses("correct", session, because=["--list or --undo"])
@@ -229,6 +230,7 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses(
         "correct", session, "--pins", tmp_path / "one.csv", because=["one.csv: ", "do not determine the place"]
     )
+    wclm.refuses("correct", session, "--pins", tmp_path / "empty.csv", because=["empty.csv: is empty"])
     wclm.refuses("correct", session, "--pins", tmp_path / "late.csv", because=["late.csv: ", "there is no scan"])
     wclm.refuses("correct", session, "--pins", tmp_path / "unknown.csv", because=["unknown.csv: ", "no wall 999"])
     assert {file: file.read_bytes() for file in session.rglob("*") if file.is_file()} == files

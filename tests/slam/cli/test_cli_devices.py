@@ -57,6 +57,16 @@ def test_invalid_devices_are_refused(wclm: Any, tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+def test_a_duration_of_watching_needs_watching(wclm: Any) -> None:
+    wclm.refuses("devices", "--for", "3", because=["--for: has no effect without --watch"])
+
+
+def test_a_recording_needs_a_name_that_other_commands_read(wclm: Any) -> None:
+    lidar = ("--lidar", "ld06:/dev/nothing")
+    wclm.refuses("record", "a.clf", *lidar, because=["FILE.mcap: a.clf: the name must end with .mcap"])
+    wclm.refuses("live", *lidar, "--out", "map", "--record", "a.clf", because=["--record: a.clf: the name must end"])
+
+
 def test_an_existing_recording_is_not_overwritten_without_the_option(wclm: Any, tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_text("precious")
     wclm.refuses("record", "a.mcap", "--lidar", "ld06:/dev/nothing", because=["a.mcap: exists already"])

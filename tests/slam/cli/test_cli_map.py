@@ -22,6 +22,11 @@ def ran(wclm: Any, fake_slam: type) -> Path:
     return Path("out")
 
 
+@pytest.mark.parametrize("form", ["geojson", "svg", "dxf", "g2o"])
+def test_formats_without_points_refuse_a_recording(wclm: Any, form: str) -> None:
+    wclm.refuses("map", "out", "--format", form, "--recording", "a.clf", because=["--recording: is for pgm and ply"])
+
+
 @pytest.mark.parametrize("form", FORMATS)
 def test_existing_export_is_replaced_only_with_overwrite(wclm: Any, ran: Path, form: str) -> None:
     before = {file.name for file in ran.iterdir()}
@@ -34,7 +39,7 @@ def test_existing_export_is_replaced_only_with_overwrite(wclm: Any, ran: Path, f
     assert wclm("map", ran, "--format", form, "--overwrite").exit_code == 0
     assert wclm("map", ran, "--format", form, "--out", f"elsewhere.{form}").exit_code == 0
     assert Path(f"elsewhere.{form}").read_bytes() == (ran / name).read_bytes()
-    wclm.refuses("map", ran, "--format", form, "--out", "a.b", because=["a.b: the name of a", f"end with .{form}"])
+    wclm.refuses("map", ran, "--format", form, "--out", "a.b", because=[f"a.b: the name must end with .{form}"])
     assert wclm("run", "sim:room?duration=3", "--out", ran, "--no-review", "--overwrite").exit_code == 0
     assert not (ran / name).exists()  # it belonged to the older run
 

@@ -56,6 +56,10 @@ def test_options_that_do_not_fit_together_are_refused(wclm: Any, plan: Path) -> 
     wclm.refuses(*run, "--continue", str(plan), because=["room.geojson", "no session to continue"])
     wclm.refuses(*run, "--plan", str(plan), "--plan-unit", "mm", because=["room.geojson", "--plan-unit"])
     wclm.refuses(*run, "--plan", str(plan), "--plan-layer", "A", because=["room.geojson", "DXF"])
+    for option in (("--plan-unit", "mm"), ("--plan-layer", "A")):
+        wclm.refuses(*run, *option, because=["--plan-unit / --plan-layer: no plan is given"])
+        wclm.refuses("diff", "map", "map", *option, because=["--plan-unit / --plan-layer: no plan is given"])
+    wclm.refuses(*run, "--localize", __file__, because=["test_cli_plans.py: is no plan", ".dxf, .geojson"])
     wclm.refuses(*run, "--plan", "nowhere.dxf", because=["nowhere.dxf: No such file"])
     assert not Path("out").exists()
 

@@ -152,6 +152,15 @@ def test_optimize_maps_and_refines_a_recording(wclm: Any) -> None:
     wclm.refuses("optimize", "nowhere.txt", "--out", "x", because=["nowhere.txt"])
 
 
+def test_optimize_refuses_options_that_would_have_no_effect(wclm: Any, session: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.g2o").write_text("")
+    for settings in (("--set", "lidar.delay=0"), ("--config", "a.toml")):
+        wclm.refuses("optimize", session, "--out", "x", *settings, because=["--config / --set: a session has its own"])
+        wclm.refuses("optimize", "a.g2o", "--out", "x", *settings, because=["a pose graph has no settings"])
+    wclm.refuses("optimize", session, "--out", "x", "--robust", because=["--robust: is for pose graphs"])
+    assert not (tmp_path / "x").exists()
+
+
 def test_optimize_names_what_it_cannot_refine(wclm: Any) -> None:
     assert wclm("run", "sim:room?duration=0.5", "--out", "short", "--no-review").exit_code == 0
     because = ["short: nothing to optimise: the session has fewer than two keyframes"]

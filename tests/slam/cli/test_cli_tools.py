@@ -146,6 +146,17 @@ def test_eval_scores_against_a_reference(wclm: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("scored")
+def test_eval_warns_if_the_trajectory_is_of_another_drive(wclm: Any, tmp_path: Path) -> None:
+    turning = "".join(f"{k} {k % 2} {k % 3} 0 0 0 {k % 2} {1 - k % 2}\n" for k in range(20))
+    (tmp_path / "other.tum").write_text(turning)
+    for truth in (("--reference", "truth.tum"), ("--relations", "a.relations")):
+        result = wclm("eval", "other.tum", *truth)
+        assert result.exit_code == 0
+        assert f"other.tum: its turns are not those of {truth[1]}: are both of the same drive?" in result.stderr
+        assert not wclm("eval", "a.tum", *truth).stderr
+
+
+@pytest.mark.usefixtures("scored")
 def test_eval_takes_the_output_directory_of_a_run(wclm: Any, tmp_path: Path) -> None:
     """It has the trajectory in a file whose name is always the same."""
     (tmp_path / "out").mkdir()

@@ -108,6 +108,8 @@ def test_invalid_options_of_driving_are_refused(wclm: Any) -> None:
     wclm.refuses(*run, *base, "--drive", because=["standard input is not a terminal"])
     for address in ("127.0.0.1:0", "a:b:c", "127.0.0.1:99999", ""):
         wclm.refuses(*run, *base, "--web-address", address, because=["must be HOST or HOST:PORT"])
-    wclm.refuses(*run, *base, "--web-address", "192.0.2.1", because=["192.0.2.1: the page cannot be served"])
+    wclm.refuses(
+        *run, *base, "--web-address", "192.0.2.1", because=["192.0.2.1: the page cannot be served at port 8090"]
+    )
     wclm.refuses("ros", "--drive", because=["exactly one wheel base; 0 are given"])
     wclm.refuses("ros", "--base", "kobuki:/dev/void", "--no-odometry", because=["--base", "with --no-odometry"])

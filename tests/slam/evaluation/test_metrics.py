@@ -178,6 +178,21 @@ def test_a_path_shorter_than_the_step_has_no_relative_errors() -> None:
     assert "rpe_trans_rmse" not in figures
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_the_trajectory_of_another_drive_is_recognised_by_its_turns(seed: int) -> None:
+    drive, other = wandering(400, seed), wandering(400, seed + 100)
+    assert score_reference(other, drive).unrelated
+    assert score_relations(other, relations_of(drive, 100, seed)).unrelated
+    assert not score_reference(noisy(drive, seed), drive).unrelated
+    assert not score_relations(noisy(drive, seed), relations_of(drive, 100, seed)).unrelated
+
+
+def test_a_straight_drive_is_not_taken_for_another_one() -> None:
+    stamps, path = np.arange(200.0), np.column_stack([0.1 * np.arange(200), np.zeros((200, 2))])
+    drive = Trajectory(stamps, path)
+    assert not score_reference(noisy(drive, 1), drive).unrelated
+
+
 def test_rotation_errors_are_wrapped() -> None:
     errors = motion_errors(np.array([[0, 0, 3.1]]), np.array([[0, 0, -3.1]]))
     assert errors.rotation[0] == pytest.approx(2 * np.pi - 6.2)

@@ -21,13 +21,14 @@ from slam.mapping.plan import Plan
 from slam.mapping.plan_map import PlanMap, build_plan_map
 from slam.measuring.wall_map import WallMap
 from slam.offline.map_diff import ChangeKind, MapDiff, Survey
-from slam.offline.map_diff.changes import benjamini_hochberg, find_changes, find_pairs
+from slam.offline.map_diff.comparison import benjamini_hochberg, find_changes
 from slam.offline.map_diff.corners import corner_changes
 from slam.offline.map_diff.ends import find_ends
 from slam.offline.map_diff.movement import find_movements
 from slam.offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
 from slam.offline.map_diff.plan import survey_plan
 from slam.offline.map_diff.sight import SeenThrough
+from slam.offline.map_diff.wall_pairs import find_pairs
 
 from ...traced_memory import traced_memory
 from ..measuring.plans import around, moved, room, wall_map

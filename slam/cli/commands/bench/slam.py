@@ -17,13 +17,23 @@ from .output import JsonFileOption, heading, provenance
 def bench_slam(
     datasets: Annotated[
         Path | None,
-        typer.Option("--datasets", envvar="WCLM_DATASETS", help="Directory with NAME/NAME.clf and its relations."),
+        typer.Option(
+            "--datasets",
+            envvar="WCLM_DATASETS",
+            exists=True,
+            file_okay=False,
+            help="Directory with NAME/NAME.clf and its relations.",
+        ),
     ] = None,
     as_json: JsonFileOption = None,
     versions: Annotated[
         Path | None,
         typer.Option(
-            "--versions", metavar="DIR", help="Directory with the JSON files of earlier versions, for the plot."
+            "--versions",
+            metavar="DIR",
+            exists=True,
+            file_okay=False,
+            help="Directory with the JSON files of earlier versions, for the plot.",
         ),
     ] = None,
     plot: Annotated[
