@@ -20,6 +20,7 @@ from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import Registration, register
 from ..matching.point_costs import excess_cost
 from ..matching.point_matcher import (
+    MAX_SEARCH_SHIFT,
     MIN_FIT,
     MIN_KNOWN_POINTS,
     POINTS_PER_OBJECT,
@@ -104,12 +105,15 @@ class MatchTarget:
         points      (p, 6) of the scan with their weights; None if all weights are 1
         exhaustive  see `match_points`
         trusted     True if the first prediction holds unless the points contradict it: if they do not, its match is
-                    returned although another one may cost less
+                    returned although another one may cost less. Against a prediction of which only a part of the poses
+                    was searched, the first one holds unless they contradict its match, however far from it
         """
         points = points_of(scan) if points is None else points
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
         if trusted:
-            near = _in_reach(next(some for some in (match, *others) if some.prediction is predictions[0]))
+            near = next(some for some in (match, *others) if some.prediction is predictions[0])
+            if match.prediction.to_search[0] <= MAX_SEARCH_SHIFT:
+                near = _in_reach(near)
             if near is not match and self._evidence(points, near.pose, match.pose) < MIN_EVIDENCE:
                 match, others = near, []
         prediction = match.prediction
