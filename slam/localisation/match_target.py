@@ -20,7 +20,6 @@ from ..matching.distance_field import DistanceField
 from ..matching.line_matcher import Registration, register
 from ..matching.point_costs import excess_cost
 from ..matching.point_matcher import (
-    MAX_SEARCH_SHIFT,
     MIN_FIT,
     MIN_KNOWN_POINTS,
     POINTS_PER_OBJECT,
@@ -99,21 +98,23 @@ class MatchTarget:
         *,
         exhaustive: bool = False,
         trusted: bool = False,
+        after_gap: bool = False,
     ) -> ScanMatch:
         """Match a scan near one of several predicted poses.
 
         points      (p, 6) of the scan with their weights; None if all weights are 1
         exhaustive  see `match_points`
         trusted     True if the first prediction holds unless the points contradict it: if they do not, its match is
-                    returned although another one may cost less. Against a prediction of which only a part of the poses
-                    was searched, the first one holds unless they contradict its match, however far from it
+                    returned although another one may cost less
+        after_gap   True if the robot may have moved beyond the searched poses since the last fix, so that a place far
+                    away is one of many that may look alike: the first prediction holds then unless the points
+                    contradict its match, also if it is out of the prediction's reach
         """
         points = points_of(scan) if points is None else points
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
         if trusted:
             near = next(some for some in (match, *others) if some.prediction is predictions[0])
-            if match.prediction.to_search[0] <= MAX_SEARCH_SHIFT:
-                near = _in_reach(near)
+            near = near if after_gap else _in_reach(near)
             if near is not match and self._evidence(points, near.pose, match.pose) < MIN_EVIDENCE:
                 match, others = near, []
         prediction = match.prediction

@@ -143,7 +143,10 @@ class Tracker:
         """
         predictions = self._predictor.predict(stamp, odometry)
         points = self._small_objects.weighted_points(scan)
-        match = target.match(scan, predictions, points, exhaustive=not self.measured, trusted=self.measured)
+        after_gap = self._predictor.is_after_gap(self._untracked_in_a_row + 1, MAX_UNTRACKED_SCANS)
+        match = target.match(
+            scan, predictions, points, exhaustive=not self.measured, trusted=self.measured, after_gap=after_gap
+        )
         alone = self._match_to_last_metres(match, predictions, scan, points, target)
         match = alone or match
         status, slipped = self._judge(match, predictions, scan, target)

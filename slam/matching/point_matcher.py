@@ -98,16 +98,6 @@ class Prediction:
         """Cost of the predicted pose: a wide prediction gives each pose a lower density than a narrow one."""
         return self.cost - 0.5 * float(log_determinant(self.information))
 
-    @property
-    def to_search(self) -> tuple[float, float]:
-        """Metres and radians around the pose within which the robot is, by the standard deviations to be searched."""
-        if self.search_sigmas is None:
-            covariance = inverse(self.information)
-            sigma, turn_sigma = math.sqrt(covariance[:2, :2].diagonal().max()), math.sqrt(covariance[2, 2])
-        else:
-            sigma, turn_sigma = self.search_sigmas.tolist()
-        return NORMAL_LIMIT * sigma, NORMAL_LIMIT * turn_sigma
-
     def cost_of(self, pose: se2.Pose) -> float:
         """Return the cost of a pose."""
         inertia = 0.0 if self.inertia is None else self.inertia._robust(pose)
@@ -195,8 +185,12 @@ def _ranked(field: DistanceField, points: Floats, matches: list[PointMatch]) -> 
 
 def _search_around(field: DistanceField, points: Floats, share: float, prediction: Prediction) -> se2.Pose:
     """Return the pose with the lowest cost within the uncertainty of a prediction."""
-    shift, turn = prediction.to_search
-    shift, turn = min(MAX_SEARCH_SHIFT, shift), min(MAX_SEARCH_TURN, turn)
+    if prediction.search_sigmas is None:
+        covariance = inverse(prediction.information)
+        sigma, turn_sigma = math.sqrt(covariance[:2, :2].diagonal().max()), math.sqrt(covariance[2, 2])
+    else:
+        sigma, turn_sigma = prediction.search_sigmas.tolist()
+    shift, turn = min(MAX_SEARCH_SHIFT, NORMAL_LIMIT * sigma), min(MAX_SEARCH_TURN, NORMAL_LIMIT * turn_sigma)
     return np.asarray(
         search_grid(
             field.arrays, points, share,
