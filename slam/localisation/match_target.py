@@ -98,6 +98,7 @@ class MatchTarget:
         *,
         exhaustive: bool = False,
         trusted: bool = False,
+        after_gap: bool = False,
     ) -> ScanMatch:
         """Match a scan near one of several predicted poses.
 
@@ -105,11 +106,15 @@ class MatchTarget:
         exhaustive  see `match_points`
         trusted     True if the first prediction holds unless the points contradict it: if they do not, its match is
                     returned although another one may cost less
+        after_gap   True if the robot may have moved beyond the searched poses since the last fix, so that a place far
+                    away is one of many that may look alike: the first prediction holds then unless the points
+                    contradict its match, also if it is out of the prediction's reach
         """
         points = points_of(scan) if points is None else points
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
         if trusted:
-            near = _in_reach(next(some for some in (match, *others) if some.prediction is predictions[0]))
+            near = next(some for some in (match, *others) if some.prediction is predictions[0])
+            near = near if after_gap else _in_reach(near)
             if near is not match and self._evidence(points, near.pose, match.pose) < MIN_EVIDENCE:
                 match, others = near, []
         prediction = match.prediction

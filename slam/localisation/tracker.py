@@ -29,7 +29,7 @@ from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
 from .match_target import MatchTarget, ScanMatch
-from .pose_predictor import PosePredictor, information_of
+from .pose_predictor import PosePredictor, Predictions, information_of
 from .prediction_error import PREDICTION_SIGMAS
 from .slip_evidence import SlipEvidence
 from .small_objects import SmallObjects
@@ -136,7 +136,7 @@ class Tracker:
         """
         predictions = self._predictor.predict(stamp, odometry)
         points = self._small_objects.weighted_points(scan)
-        match = target.match(scan, predictions.all, points, exhaustive=not self.measured, trusted=self.measured)
+        match = self._match(scan, points, predictions, target)
         alone = self._match_to_last_metres(match, predictions.all, scan, points, target)
         evidence = SlipEvidence(alone or match, predictions)
         match = evidence.match
@@ -165,6 +165,17 @@ class Tracker:
         is_certain = partial(target.excludes, points=points, pose=match.points.pose)
         self._update(result, evidence, odometry, is_certain)
         return result
+
+    def _match(self, scan: ScanFeatures, points: Floats, predictions: Predictions, target: MatchTarget) -> ScanMatch:
+        """Match a scan, whose weighted points are (p, 6), near all predictions."""
+        return target.match(
+            scan,
+            predictions.all,
+            points,
+            exhaustive=not self.measured,
+            trusted=self.measured,
+            after_gap=self._predictor.is_after_gap(self._untracked_in_a_row + 1, MAX_UNTRACKED_SCANS),
+        )
 
     def _update(
         self,

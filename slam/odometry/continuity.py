@@ -2,8 +2,9 @@
 
 A base that starts again counts from zero. What the robot did meanwhile is not known: it may have stood, or have been
 carried. So no motion is taken, as in both cases the wheels did not turn; if scans show another place then, it was
-carried. A damaged reading may be anywhere, and the next one is where it would be without. Tracking, which compares
-odometry with the scans, handles slips. But a motion of kilometres exceeds what a map and its covariances can represent.
+carried. A damaged reading may be anywhere, and the next one is where it would be without. So may be a counter that
+overflows. Tracking, which compares odometry with the scans, handles slips. But along a bare corridor scans contradict
+no jump, poses far from odometry are not searched, and a motion of kilometres exceeds what a map can represent.
 """
 
 from __future__ import annotations
@@ -17,10 +18,13 @@ from drivers import se2
 from drivers.messages import Odometry
 
 from .history import wheel_travel
+from .velocity import ScanClock
 
-# Metres, and metres per second, from which a motion between two readings is a jump. Origin: chosen, more than any
-# wheeled robot drives, and less than what a map cannot represent.
-MIN_JUMP, MIN_JUMP_SPEED = 100.0, 100.0
+# Metres from which a motion between two readings may be a jump: tracking searches poses up to here, and stamps that are
+# wrong by half a second make such motions fast. Origin: chosen, as MAX_SEARCH_SHIFT of the matching of points.
+MIN_JUMP = 1.5
+# Metres per second from which it is a jump. Origin: chosen, more than any robot with a two-dimensional lidar drives.
+MIN_JUMP_SPEED = 30.0
 # Metres from which a motion is a jump however long it took: it says nothing about the robot then. Origin: chosen.
 MAX_UNSEEN = 1000.0
 # Metres and radians below which a coordinate is zero. Origin: numerical, of poses that are composed of transforms.
@@ -41,19 +45,22 @@ class ContinuousOdometry:
 
     def __init__(self) -> None:
         self.jump: str | None = None
+        self._clock = ScanClock()  # of the readings
         self._last: _Reading | None = None
         self._before_jump: _Reading | None = None  # while no reading since the jump differs from the first one
 
     def continued(self, reading: Odometry) -> Odometry:
         """Return the next reading with its pose in the frame of the first one."""
         last, before = self._last, self._before_jump
-        self.jump = None if last is None else _jump(last.read, reading)
+        self._clock.interval(reading.stamp)
         if last is None:
             self._last = _Reading(reading, reading)
             return reading
+        period = self._clock.period
+        self.jump = _jump(last.read, reading, period)
         if before is not None and not np.array_equal(reading.pose, last.read.pose):
             self._before_jump = None
-        if before is not None and _goes_on_from(before.read, last.read, reading):
+        if before is not None and _goes_on_from(before.read, last.read, reading, period):
             self._last = before.followed_by(reading)  # what was read since then was damaged
         elif self.jump is not None:
             self._last, self._before_jump = _Reading(reading, replace(reading, pose=last.used.pose)), last
@@ -78,9 +85,9 @@ class _Reading:
         )
 
 
-def _goes_on_from(before: Odometry, damaged: Odometry, reading: Odometry) -> bool:
-    """Return True if a reading goes on from the one before a jump, and not from the one after it."""
-    return _jump(before, reading) is None and _travel(before, reading) < _travel(damaged, reading)
+def _goes_on_from(before: Odometry, damaged: Odometry, reading: Odometry, period: float) -> bool:
+    """Return True if a reading goes on from the one before a jump, and not from the one after it; see `_jump`."""
+    return _jump(before, reading, period) is None and _travel(before, reading) < _travel(damaged, reading)
 
 
 def _travel(first: Odometry, second: Odometry) -> float:
@@ -88,11 +95,15 @@ def _travel(first: Odometry, second: Odometry) -> float:
     return float(wheel_travel(se2.between(first.pose, second.pose)))
 
 
-def _jump(last: Odometry, reading: Odometry) -> str | None:
-    """Return why a robot can hardly have moved from a reading to the next one, as text; None if it can."""
+def _jump(last: Odometry, reading: Odometry, period: float) -> str | None:
+    """Return why a robot can hardly have moved from a reading to the next one, as text; None if it can.
+
+    period  seconds between readings, which their stamps may make shorter
+    """
     x, y, heading = reading.pose.tolist()
     distance = math.hypot(x - last.pose[0], y - last.pose[1])
-    if distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * (reading.stamp - last.stamp)):
+    seconds = max(reading.stamp - last.stamp, period)
+    if distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * seconds):
         return JUMPED
     is_zero = abs(x) < ZERO and abs(y) < ZERO and abs(heading) < ZERO
     return RESTARTED if is_zero and _travel(last, reading) > MIN_RESTART else None
