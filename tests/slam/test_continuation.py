@@ -221,7 +221,7 @@ def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_its_trajectory(mapped: tup
     """It is relocalised, then kidnapped to another building."""
     left, before = mapped
     there = drive("office", 2, 12.0, 18.0, LATER)
-    elsewhere = drive("room", 3, 0.0, 5.0, there[-1].stamp + 0.1)
+    elsewhere = drive("room", 3, 0.0, 5.0, there[-1].stamp + 10.0)
     _, finished, notices = run([*there, *elsewhere], left, frozen=True)
     assert notices[0] == "relocalised in the map"
     known = finished.stamps < there[-1].stamp

@@ -28,7 +28,7 @@ def test_poses_and_walls_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "because"),
     [
-        ("", "has no column kind"),
+        ("", "is empty"),
         ("kind,id,x,y\n", "nor the columns xx"),
         ("kind,id,x,y,sigma,colour\n", "unknown column colour"),
         ("kind,id,x,y,sigma,co\x1dlour\n", "unknown column co\N{REPLACEMENT CHARACTER}lour"),
