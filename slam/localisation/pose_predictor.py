@@ -140,9 +140,10 @@ class PosePredictor:
         """
         if not self._since_fix:
             return False
-        reach = NORMAL_LIMIT * float(self._velocity.deviations(self._since_fix)[:2].max())
         periods = self._since_fix / max(self._clock.period, MIN_PERIOD)
-        return reach > MAX_SEARCH_SHIFT and periods >= taken + missing
+        if periods < taken + missing:  # most scans: the rest takes longer
+            return False
+        return NORMAL_LIMIT * float(self._velocity.deviations(self._since_fix)[:2].max()) > MAX_SEARCH_SHIFT
 
     def stood_in_gap(self, taken: int, missing: int) -> bool:
         """Return True if the wheels hardly moved in a gap, see `is_after_gap`: the robot stood, or was carried."""

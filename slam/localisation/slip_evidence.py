@@ -37,12 +37,12 @@ class SlipEvidence:
 
     @property
     def odometry_holds(self) -> bool:
-        """True if poses were searched around odometry and around other motions, and the best one agrees with odometry.
+        """True if the pose is within the errors of odometry, and was not found from the prediction of a slip.
 
-        Without a tentative pose, the best one near an even motion alone does not show that odometry holds.
+        After a tentative scan it may have been found from any prediction: poses around odometry were searched as well.
         """
-        compared = bool(self.predictions.from_tentative) or not self._fits_slip
-        return compared and not self.contradicts_odometry
+        found_otherwise = bool(self.predictions.from_tentative) or not self._fits_slip
+        return found_otherwise and not self.contradicts_odometry
 
     @property
     def confirms_slip(self) -> bool:

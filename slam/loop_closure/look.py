@@ -197,12 +197,16 @@ class Look:
 
     def motion(self, old: int, relative: se2.Pose) -> se2.Pose:
         """Return the motion in the map that a pose of the submap in that of an old place implies."""
-        return se2.compose(se2.compose(self._mapper.keyframe_poses[old], relative), se2.inverse(self.pose))
+        return self._motion(old, relative, self.last)
 
     def motion_of(self, match: LoopMatch) -> se2.Pose:
-        """Return the motion in the map that the match of a look implies."""
+        """Return the motion in the map that the match of this look, or of another one, implies."""
+        return self._motion(match.old, match.relative, match.keyframe)
+
+    def _motion(self, old: int, relative: se2.Pose, keyframe: int) -> se2.Pose:
+        """Return the motion in the map that moves a keyframe to a pose relative to an old one."""
         poses = self._mapper.keyframe_poses
-        return se2.compose(se2.compose(poses[match.old], match.relative), se2.inverse(poses[match.keyframe]))
+        return se2.compose(se2.compose(poses[old], relative), se2.inverse(poses[keyframe]))
 
     def admits(self, old: int, relative: se2.Pose) -> bool:
         """Return True if the estimate's uncertainty admits a pose of the submap in that of an old place."""

@@ -12,6 +12,7 @@ from drivers import se2
 from features.normal_limits import NORMAL_LIMIT
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import REFERENCE_DISTANCE, LocalField
+from slam.loop_closure import look_back
 from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision, LoopMatch
@@ -19,8 +20,8 @@ from slam.loop_closure.look import Look, Submaps
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
-from slam.loop_closure.submap_search import SUBMAP_LENGTH, SubmapMatch
-from slam.loop_closure.votes import Vote, Votes
+from slam.loop_closure.submap_search import REVISIT_GAP, SUBMAP_LENGTH, SubmapMatch
+from slam.loop_closure.votes import Vote, Votes, vote_in_view
 from slam.mapping.landmarks import Landmarks
 from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
@@ -36,6 +37,27 @@ HALL = outline(
     [(0, 0), (36, 0), (36, 3), (33, 3), (33, 4), (31, 4), (31, 3), (26, 3), (26, 5), (23, 5), (23, 3.5), (20, 3.5),
      (20, 3), (13, 3), (13, 4.5), (9, 4.5), (9, 3), (5, 3), (5, 5), (3, 5), (3, 3), (0, 3)]
 )  # fmt: skip
+# As wide as long, and different on all sides.
+COURT = outline(
+    [
+        (0, 0),
+        (16, 0),
+        (16, 4),
+        (14, 4),
+        (14, 6),
+        (16, 6),
+        (16, 12),
+        (9, 12),
+        (9, 10.5),
+        (5, 10.5),
+        (5, 12),
+        (0, 12),
+        (0, 3),
+        (1, 3),
+        (1, 2),
+        (0, 2),
+    ]
+)
 NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
 SIGMAS = np.array([0.5, 0.5, 0.05])  # of the estimate after the loop
@@ -164,6 +186,35 @@ def test_looks_before_the_one_that_proposes_a_loop_count_if_they_see_the_place()
     left = se2.compose(found[0].correction, drift)
     assert np.hypot(*left[:2]) < 0.15
     assert abs(left[2]) < 0.01
+
+
+def test_looks_before_the_one_that_proposes_a_loop_count_only_if_they_contradict_the_estimate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The estimate has the robot where nothing is mapped: it may be at another place that looks alike."""
+
+    def without_estimate(look: Look, motion: se2.Pose) -> Vote | None:
+        return vote_in_view(look, motion) if motion.any() else None
+
+    monkeypatch.setattr(look_back, "vote_in_view", without_estimate)
+    drift = np.array([0.3, 0.7, 0.01])
+    assert drive_twice(drift, np.zeros(3), room=HALL, begin=14.0, end=35.0, until=15.0)[0] == []
+
+
+def test_the_robot_is_searched_beside_the_path_only_while_the_estimate_is_in_doubt() -> None:
+    """It is 6 m beside the path of the first pass, where the estimate has it."""
+    inside, beside = np.array([8.0, 1.5, 0.0]), np.array([8.0, 7.5, 0.0])
+    state, local_field = StubMap(np.diag([3.0, 3.0, 0.05]) ** 2), LocalField()
+    for seen_from, travelled in ((inside, 0.0), (beside, 2.0 * REVISIT_GAP)):
+        points = with_noise(visible(COURT, seen_from), np.random.default_rng(0))
+        local_field.add(ScanFeatures(NO_SEGMENTS, NO_CORNERS, ScanPoints(points)))
+        state.keyframe_poses = np.vstack([state.keyframe_poses, inside])
+        state.travelled.append(travelled)
+        local_field.update(state.keyframe_count - 1, state.keyframe_poses, state.travelled)
+    look = Look(state, local_field, Submaps())  # type: ignore[arg-type]
+    found = [[match.pose for match in some.search(0)] for some in (look, look.doubting_estimate())]
+    right = [[pose for pose in poses if np.hypot(*(pose - [0.0, 6.0, 0.0])[:2]) < 0.1] for poses in found]
+    assert (len(right[0]), len(right[1])) == (0, 1)
 
 
 def test_interruptions_do_not_change_what_is_accepted() -> None:
