@@ -46,6 +46,7 @@ class ScanMatch:
     fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
     known         number of points in space that was seen before
     explained     0 to 1, share of all points that lie on known surfaces, or on objects that may have moved
+    evidence      (nats) against the first prediction, see `MatchTarget.match`
     """
 
     points: PointMatch
@@ -54,6 +55,7 @@ class ScanMatch:
     fit: float
     known: int
     explained: float
+    evidence: float
 
     @property
     def score(self) -> float:
@@ -97,26 +99,30 @@ class MatchTarget:
         points: Floats | None = None,
         *,
         exhaustive: bool = False,
-        trusted: bool = False,
+        earlier_evidence: float | None = None,
         after_gap: bool = False,
     ) -> ScanMatch:
         """Match a scan near one of several predicted poses.
 
-        points      (p, 6) of the scan with their weights; None if all weights are 1
-        exhaustive  see `match_points`
-        trusted     True if the first prediction holds unless the points contradict it: if they do not, its match is
-                    returned although another one may cost less
-        after_gap   True if the robot may have moved beyond the searched poses since the last fix, so that a place far
-                    away is one of many that may look alike: the first prediction holds then unless the points
-                    contradict its match, also if it is out of the prediction's reach
+        points            (p, 6) of the scan with their weights; None if all weights are 1
+        exhaustive        see `match_points`
+        earlier_evidence  (nats) of the points of earlier scans against the first prediction. It holds unless this and
+                          the evidence of the scan contradict it: if they do not, its match is returned although
+                          another one may cost less. None if the match that costs least is always returned
+        after_gap         True if the robot may have moved beyond the searched poses since the last fix, so that a place far
+                          away is one of many that may look alike: the first prediction holds then unless the points
+                          contradict its match, also if it is out of the prediction's reach
         """
         points = points_of(scan) if points is None else points
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)
-        if trusted:
+        evidence = 0.0
+        if earlier_evidence is not None:
             near = next(some for some in (match, *others) if some.prediction is predictions[0])
             near = near if after_gap else _in_reach(near)
-            if near is not match and self._evidence(points, near.pose, match.pose) < MIN_EVIDENCE:
-                match, others = near, []
+            if near is not match:
+                evidence = earlier_evidence + self._evidence(points, near.pose, match.pose)
+            if near is not match and evidence < MIN_EVIDENCE:
+                match, others, evidence = near, [], 0.0
         prediction = match.prediction
         registration = register(
             match.pose, prediction.pose, prediction.information,
@@ -124,7 +130,7 @@ class MatchTarget:
         )  # fmt: skip
         _, fit, known = point_cost(self.field, points, registration.pose)
         explained = fit * known / max(1, len(points))
-        return ScanMatch(match, others, registration, fit, known, explained)
+        return ScanMatch(match, others, registration, fit, known, explained, evidence)
 
     def excludes(self, prediction: Prediction, points: Floats, pose: se2.Pose) -> bool:
         """Return True if points (p, 6) that fit at a pose contradict a prediction, which may lead to another one."""

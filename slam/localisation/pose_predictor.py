@@ -33,12 +33,14 @@ class Predictions:
     slip            if odometry has slipped since the last scan, or the motion is not even; None if neither is possible
     caught_up       if odometry has caught up after a recent slip; None without one
     from_tentative  from the tentative pose of the last scan, by odometry and by an even motion; empty without one
+    evidence        (nats) of the points of tentative scans against the usual one, see `MatchTarget.match`
     """
 
     usual: Prediction
     slip: Prediction | None = None
     caught_up: Prediction | None = None
     from_tentative: tuple[Prediction, ...] = ()
+    evidence: float = 0.0
 
     @property
     def all(self) -> list[Prediction]:
@@ -57,10 +59,16 @@ class Alternative:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TentativePose:
-    """Fix of the last scan if that was TENTATIVE, which the next scan decides on, and the alternative, if any."""
+    """Pose of a scan that is TENTATIVE, on which the next scan decides.
+
+    fix          if odometry has slipped
+    alternative  if it has not; None if the scan does not fit there
+    evidence     (nats) of the points for the former and against the latter, with that of the scans before
+    """
 
     fix: PoseFix
     alternative: Alternative | None
+    evidence: float
 
 
 class PosePredictor:
@@ -203,7 +211,8 @@ class PosePredictor:
                 usual = self._by_odometry(start, odometry, usual.inertia, other.additional_cost)
             even = self._even_motion(tentative.fix.pose, interval)
             from_tentative = (self._by_odometry(tentative.fix, odometry, even), even)
-        return Predictions(usual, None if self._since_fix is None else slip, caught_up, from_tentative)
+        evidence = 0.0 if tentative is None else tentative.evidence
+        return Predictions(usual, None if self._since_fix is None else slip, caught_up, from_tentative, evidence)
 
     def learn(self, usual: Prediction, match: PointMatch) -> None:
         """Learn the error of predictions from the match of a tracked scan, and its usual prediction."""
@@ -214,25 +223,23 @@ class PosePredictor:
         self,
         result: TrackingResult,
         odometry: se2.Pose,
-        alternative: Alternative | None,
+        tentative: TentativePose | None,
         is_certain: Callable[[Prediction], bool],
     ) -> None:
         """Keep the pose of a scan as the fix or as tentative, by its status.
 
-        alternative  pose where the scan fits odometry, if that is not its best one; None without one
-        is_certain   returns True if a contradiction between the scan and a prediction by odometry is certain
+        tentative   pose of the scan if it is TENTATIVE, else None
+        is_certain  returns True if a contradiction between the scan and a prediction by odometry is certain
         """
-        self._tentative = None
+        self._tentative = tentative
         if result.status is TrackingStatus.NO_FEATURES:
             return
         if self._odometry_after_gap is None:
             self._odometry_after_gap = odometry
-        fix = PoseFix(result.pose, odometry)
-        if result.status is TrackingStatus.TENTATIVE:
-            self._tentative = TentativePose(fix, alternative)
         if result.status is not TrackingStatus.TRACKED:
             return
         assert self._fix is not None
+        fix = PoseFix(result.pose, odometry)
         if self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         if result.slipped and self.measured:

@@ -29,7 +29,7 @@ from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
 from .match_target import MatchTarget, ScanMatch
-from .pose_predictor import PosePredictor, Predictions, information_of
+from .pose_predictor import PosePredictor, Predictions, TentativePose, information_of
 from .prediction_error import PREDICTION_SIGMAS
 from .slip_evidence import SlipEvidence
 from .small_objects import SmallObjects
@@ -173,7 +173,7 @@ class Tracker:
             predictions.all,
             points,
             exhaustive=not self.measured,
-            trusted=self.measured,
+            earlier_evidence=predictions.evidence if self.measured else None,
             after_gap=self._predictor.is_after_gap(self._untracked_in_a_row + 1, MAX_UNTRACKED_SCANS),
         )
 
@@ -191,8 +191,11 @@ class Tracker:
                 self._predictor.learn(evidence.predictions.usual, evidence.match.points)
         elif result.status is not TrackingStatus.NO_FEATURES:
             self._untracked_in_a_row += 1
-        alternative = evidence.alternative if self.measured else None
-        self._predictor.update(result, odometry, alternative, is_certain)
+        tentative: TentativePose | None = None
+        if result.status is TrackingStatus.TENTATIVE:
+            alternative = evidence.alternative if self.measured else None
+            tentative = TentativePose(PoseFix(result.pose, odometry), alternative, evidence.match.evidence)
+        self._predictor.update(result, odometry, tentative, is_certain)
 
     @property
     def measured(self) -> bool:

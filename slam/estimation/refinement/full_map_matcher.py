@@ -130,7 +130,8 @@ class FullMapMatcher:
         even = Prediction(self._interpolate(row, poses), self._weak_information, cost)
         predictions = [present, even] if present.excludes(even.pose) else [present]
         points = self._small_objects.weighted_points(scan)
-        match = target.match(scan, predictions, points, exhaustive=True, trusted=not self._odometry_wrong[row])
+        earlier_evidence = None if self._odometry_wrong[row] else 0.0
+        match = target.match(scan, predictions, points, exhaustive=True, earlier_evidence=earlier_evidence)
         if match.plausible:
             self._small_objects.add(scan, match.points.pose, target.field, self._intervals[row])
         odometry_wrong = match.plausible and match.points.prediction is even

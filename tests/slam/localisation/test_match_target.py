@@ -110,6 +110,6 @@ def test_odometry_holds_after_a_gap_against_one_of_many_places_that_look_alike(a
     by_odometry = Prediction(pose + to_copy + [0.35, 0.0, 0.0], np.diag(np.array([0.1, 0.1, 0.02]) ** -2.0))
     even = Prediction(pose, np.diag(np.array([5.0, 5.0, 0.02]) ** -2.0))
     target = MatchTarget(empty_local_map(), field, 0.0)
-    match = target.match(scan_of(ROOM, pose), [by_odometry, even], trusted=True, after_gap=after_gap)
+    match = target.match(scan_of(ROOM, pose), [by_odometry, even], earlier_evidence=0.0, after_gap=after_gap)
     assert (match.points.prediction is by_odometry) is after_gap
     assert np.hypot(*(match.points.pose - (pose + to_copy if after_gap else pose))[:2]) < 0.05

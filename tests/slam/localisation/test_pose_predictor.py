@@ -7,9 +7,9 @@ import pytest
 
 from drivers import se2
 from slam.config import OdometryConfig
-from slam.localisation.pose_predictor import Alternative, PosePredictor
+from slam.localisation.pose_predictor import Alternative, PosePredictor, TentativePose
 from slam.localisation.small_objects import SmallObjects
-from slam.localisation.tracking import TrackingStatus
+from slam.localisation.tracking import PoseFix, TrackingStatus
 from slam.matching.point_matcher import Prediction
 from slam.odometry.error_model import OdometryModel
 
@@ -37,7 +37,7 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
     predictor.update(
         tracking_result(TrackingStatus.TENTATIVE, pose=tentative, information=INFORMATION),
         odometry,
-        Alternative(alternative, 4.0),
+        TentativePose(PoseFix(tentative, odometry), Alternative(alternative, 4.0), 3.0),
         certain,
     )
     predictions = predictor.predict(0.3, odometry + STEP)
@@ -46,6 +46,7 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
     assert usual.cost == 4.0
     np.testing.assert_allclose(from_tentative.pose, se2.compose(tentative, STEP), atol=1e-9)
     assert from_tentative.cost == 0.0
+    assert predictions.evidence == 3.0
 
 
 def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
@@ -54,7 +55,8 @@ def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     predictor.predict(0.0, np.zeros(3))
     predictor.update(tracking_result(information=INFORMATION), np.zeros(3), None, certain)
     predictor.predict(0.1, STEP)
-    predictor.update(tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1])), STEP, None, certain)
+    result = tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1]))
+    predictor.update(result, STEP, TentativePose(PoseFix(result.pose, STEP), None, 3.0), certain)
     usual = predictor.predict(0.2, 2 * STEP).usual
     np.testing.assert_allclose(usual.pose, 2 * STEP, atol=1e-9)
     assert usual.cost == pytest.approx(-np.log(20.0 / 21.0))  # no more than that of odometry without a slip

@@ -65,7 +65,7 @@ def matched(before: Floats, now: Floats, pose: Floats, objects: SmallObjects) ->
     odometry = Prediction(DRIVEN, np.diag(np.array([0.03, 0.02, 0.01]) ** -2.0))
     slip = Prediction(STANDING, np.diag(np.array([0.3, 0.1, 0.05]) ** -2.0), cost=3.0)
     target = MatchTarget(empty_local_map(), field, 0.0)
-    return target.match(scan, [odometry, slip], objects.weighted_points(scan), trusted=True).points.pose
+    return target.match(scan, [odometry, slip], objects.weighted_points(scan), earlier_evidence=0.0).points.pose
 
 
 def corridor_with(*objects: Floats) -> Floats:
