@@ -65,6 +65,15 @@ def excess_cost(field, points, pose, other):  # type: ignore[no-untyped-def]
     return excess
 
 
+@compiled
+def fine_cost(field, points, pose):  # type: ignore[no-untyped-def]
+    """Return the cost of points (p, 6) with normals at a pose that is the result of a match, see `excess_cost`."""
+    total = 0.0
+    for k in range(len(points)):
+        total += points[k, WEIGHT] * _fine_cost(field, points[k], pose)[0]
+    return total
+
+
 @inlined
 def _fine_cost(field, point, pose):  # type: ignore[no-untyped-def]
     """Return the cost of a point at a pose by its offset across the surface, and if it is in seen space."""

@@ -41,7 +41,7 @@ from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import MATCH_CAUCHY_SCALE
 from .offset_tiles import FIELD_CELL
-from .point_costs import COARSE_SIGMA, crossing_beams, points_cost, search_grid
+from .point_costs import COARSE_SIGMA, crossing_beams, fine_cost, points_cost, search_grid
 from .scan_points import FINE_SIGMA, subsample
 
 # Metres between points that count as separate measurements. Origin: chosen, as FIELD_CELL.
@@ -179,7 +179,10 @@ def _ranked(field: DistanceField, points: Floats, matches: list[PointMatch]) -> 
     counts = [int(crossing_beams(field.arrays, points, match.pose)) for match in matches]
     share = (min(counts) + 1) / (len(points) + 2)  # mean of its posterior, if all shares are equally probable
     cost = max(0.0, math.log((1.0 - share) / share)) / POINTS_PER_OBJECT
-    ranked = [replace(match, cost=match.cost + cost * count) for match, count in zip(matches, counts, strict=True)]
+    ranked = []
+    for match, count in zip(matches, counts, strict=True):
+        of_points = float(fine_cost(field.arrays, points, match.pose)) / POINTS_PER_OBJECT
+        ranked.append(replace(match, cost=of_points + match.prediction.cost_of(match.pose) + cost * count))
     return sorted(ranked, key=lambda match: match.cost)
 
 
