@@ -49,12 +49,23 @@ def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def excess_cost(field, points, pose, other):  # type: ignore[no-untyped-def]
-    """Return by how much more points (p, 6) with normals cost at a pose than at another one.
+def fine_cost(field, points, pose):  # type: ignore[no-untyped-def]
+    """Return the cost of points (p, 6) with normals at a pose that is the result of a match.
 
-    Both poses are the results of matches, so the offsets are compared with FINE_SIGMA. They are measured across the
-    surfaces: the mapped points of a distant wall are decimetres apart, and a scan from where one of them was mapped
-    would always fit best. Only points that are in seen space at both poses count.
+    So the offsets are compared with FINE_SIGMA. They are measured across the surfaces: the mapped points of a distant
+    wall are decimetres apart, and a scan from where one of them was mapped would always fit best.
+    """
+    total = 0.0
+    for k in range(len(points)):
+        total += points[k, WEIGHT] * _fine_cost(field, points[k], pose)[0]
+    return total
+
+
+@compiled
+def excess_cost(field, points, pose, other):  # type: ignore[no-untyped-def]
+    """Return by how much more points (p, 6) with normals cost at a pose than at another one, as for `fine_cost`.
+
+    Only points that are in seen space at both poses count.
     """
     excess = 0.0
     for k in range(len(points)):
@@ -63,15 +74,6 @@ def excess_cost(field, points, pose, other):  # type: ignore[no-untyped-def]
         if evidence and other_evidence:
             excess += points[k, WEIGHT] * (cost - other_cost)
     return excess
-
-
-@compiled
-def fine_cost(field, points, pose):  # type: ignore[no-untyped-def]
-    """Return the cost of points (p, 6) with normals at a pose that is the result of a match, see `excess_cost`."""
-    total = 0.0
-    for k in range(len(points)):
-        total += points[k, WEIGHT] * _fine_cost(field, points[k], pose)[0]
-    return total
 
 
 @inlined

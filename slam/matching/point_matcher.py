@@ -4,8 +4,8 @@ Gauss-Newton on the interpolated vectors starts at each prediction, first with a
 the best result fits badly, if no odometry narrows the prediction, or if time does not matter, the poses within the
 uncertainty of each prediction are searched exhaustively, and the best ones are improved in the same way. Poses are
 compared by a cost, minus the logarithm of their likelihood: that of the distances of the points, that of the distance
-from the prediction, and the prediction's own. Matches near several predictions are compared by the beams that pass
-through known surfaces as well.
+from the prediction, and the prediction's own. Matches near several predictions are compared by the offsets of points
+across the surfaces, and by the beams that pass through known surfaces as well.
 
 A point in a cell that no beam has crossed neither supports a pose nor contradicts it: its cost is UNSEEN. So is that
 of a point beside a surface that faces elsewhere: it may be on the other side of a wall, seen for the first time.
@@ -173,7 +173,10 @@ def match_points(
 
 
 def _ranked(field: DistanceField, points: Floats, matches: list[PointMatch]) -> list[PointMatch]:
-    """Return matches of points (p, 6), those with the lowest cost first, with the costs of beams through surfaces."""
+    """Return matches of points (p, 6), those with the lowest cost first.
+
+    The cost of points is that at the result of a match, see `fine_cost`, with that of beams through surfaces.
+    """
     if len(matches) == 1:
         return matches
     counts = [int(crossing_beams(field.arrays, points, match.pose)) for match in matches]

@@ -14,7 +14,7 @@ from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import empty_local_map, local_map_around
 from slam.matching.point_matcher import Prediction
 from slam.matching.scan_features import ScanFeatures
-from slam.matching.scan_points import ScanPoints
+from slam.matching.scan_points import WEIGHT, ScanPoints
 
 from ..outlines import noisy_field, outline, scan_points, visible, with_noise
 
@@ -113,3 +113,22 @@ def test_odometry_holds_after_a_gap_against_one_of_many_places_that_look_alike(a
     match = target.match(scan_of(ROOM, pose), [by_odometry, even], earlier_evidence=0.0, after_gap=after_gap)
     assert (match.points.prediction is by_odometry) is after_gap
     assert np.hypot(*(match.points.pose - (pose + to_copy if after_gap else pose))[:2]) < 0.05
+
+
+@pytest.mark.parametrize("earlier", [0.0, 3.0])
+def test_the_evidence_of_scans_in_a_row_against_odometry_adds_up(earlier: float) -> None:
+    """In a bare corridor, a post that counts little shows that the robot has not moved by 0.4 m, as odometry says.
+
+    One such scan is too little evidence. With that of an earlier scan it suffices.
+    """
+    pose, known = np.array([0.0, 1.5, 0.0]), np.diag(np.array([0.05, 0.05, 0.02]) ** -2.0)
+    post = np.column_stack([np.full(8, 2.0), np.linspace(1.0, 1.2, 8)])
+    corridor = np.vstack([outline([(-15, 0), (15, 0)]), outline([(-15, 3), (15, 3)]), post])
+    target = MatchTarget(empty_local_map(), noisy_field(corridor, pose, half_width=20.0), 0.0)
+    scan = scan_of(corridor, pose)
+    points = scan.surface_points()
+    points[:, WEIGHT] = 0.2
+    moved, stands = Prediction(pose + [0.4, 0.0, 0.0], known), Prediction(pose, known)
+    match = target.match(scan, [moved, stands], points, earlier_evidence=earlier)
+    assert (match.points.prediction is stands) is (earlier > 0.0)
+    assert (match.evidence > earlier) is (earlier > 0.0)

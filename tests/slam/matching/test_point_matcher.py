@@ -131,6 +131,12 @@ def test_likely_prediction_is_preferred_and_others_are_tried_if_it_fails() -> No
     assert match_points(ROOM_FIELD, points, [usual, right])[0].prediction is usual
 
 
+def test_a_likely_prediction_does_not_prevail_if_all_walls_are_centimetres_off() -> None:
+    certain = 1e8 * np.eye(3)  # the matches stay at the predictions
+    off, right = Prediction(se2.compose(INSIDE, [0.03, 0.0, 0.0]), certain), Prediction(INSIDE, certain, 2.0)
+    assert match_points(ROOM_FIELD, scan_points(ROOM, INSIDE), [off, right])[0].prediction is right
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("shift", [-0.25, 0.2])
 def test_parallel_walls_leave_the_pose_along_them_to_the_prediction(shift: float, seed: int) -> None:
