@@ -2,7 +2,7 @@
 
 A scan is matched to it with all its points, whatever they belong to. Points are inserted one scan at a time, so the
 field grows with the drive; `LocalField` replaces it when the robot leaves its middle, or when the map is corrected.
-Points that appear in free space enter it when a second scan has seen them.
+Points that appear in free space enter it when some scans in a row have seen them.
 
 A wall has two faces some centimetres apart, and a robot that drives past it sees first one and then the other. To match
 one with the other would shift the pose by the wall's thickness. So there is one grid for each direction that a surface
@@ -22,7 +22,19 @@ from drivers import se2
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats
-from .free_space import NEW_SURFACE, SEEN_CELL, SEEN_CELLS, WaitingPoints, is_surrounded, mark_seen, must_wait
+from .free_space import (
+    APPEARED,
+    KNOWN,
+    NEW_SURFACE,
+    SEEN_CELL,
+    SEEN_CELLS,
+    UNTOLD,
+    WaitingPoints,
+    is_at_rest,
+    is_surrounded,
+    mark_seen,
+    wait_along_lines,
+)
 from .offset_tiles import (
     FIELD_CELL,
     MAX_DISTANCE,
@@ -60,7 +72,7 @@ class DistanceField:
     offsets  five grids of vectors from the nearest point to the cell's centre: one for the surfaces that face along
              each of x, y, -x, -y, and one for all points
     seen     (s, s) 1 if a beam crossed the cell or ended in it
-    waiting  points in free space that one scan has seen; see `free_space`
+    waiting  points in free space that few scans have seen; see `free_space`
     """
 
     origin: Floats
@@ -115,10 +127,12 @@ class DistanceField:
         if not len(scans):
             return
         points, first, entered = np.concatenate(scans, dtype=np.float64), np.cumsum([0, *map(len, scans)]), 0
+        waits = np.zeros(len(points), dtype=np.bool_)
         while entered < len(points):
             self.offsets.count, entered = _insert(
-                self.arrays, self.waiting.scan_of, self.waiting.scans, self.offsets.count, poses, points, first, entered
-            )
+                self.arrays, self.waiting.arrays, self.waiting.scans, self.offsets.count,
+                poses, points, waits, first, entered,
+            )  # fmt: skip
             if entered < len(points):
                 self.offsets.grow()
         self.waiting.scans += len(scans)
@@ -139,27 +153,36 @@ def _origin(centre: Floats, half_width: float) -> Floats:
 
 
 @compiled
-def _insert(field, scan_of, scans, count, poses, points, first, begin):  # type: ignore[no-untyped-def]
+def _insert(field, waiting, scans, count, poses, points, waits, first, begin):  # type: ignore[no-untyped-def]
     """Enter the offsets from each point into the cells around it, and mark the cells between it and the robot.
 
     The points of scan j, from `first[j]` to before `first[j + 1]`, are in the frame of `poses[j]`. Those before `begin`
-    have been entered. A scan's own beams cross no free space for its points, so their cells are marked afterwards.
-    Returns the number of tiles, of which there were `count`, and the first point that is not entered as there may be no
-    room for its tiles. For `scan_of` and `scans` see `WaitingPoints`.
+    have been entered. A scan's own points are no known surfaces for each other, so it is decided first which of them
+    wait; nor do its beams cross free space for them, so their cells are marked afterwards. Returns the number of tiles,
+    of which there were `count`, and the first point that is not entered as there may be no room for its tiles.
+
+    waiting, scans  see `WaitingPoints`
+    waits           (p,) which points of the scan to which `begin` belongs wait; overwritten
     """
     origin, tile_of, tiles, seen = field
+    told = np.empty(len(points), np.int64)
     for j in range(len(poses)):
         if begin >= first[j + 1]:
             continue
         c, s = math.cos(poses[j, 2]), math.sin(poses[j, 2])
         start_x, start_y = (poses[j, 0] - origin[0]) / FIELD_CELL, (poses[j, 1] - origin[1]) / FIELD_CELL
+        if begin <= first[j]:
+            own = slice(first[j], first[j + 1])
+            _decide_which_wait(
+                field, waiting, scans + j + 1, start_x, start_y, c, s, points[own], told[own], waits[own]
+            )
         for k in range(max(begin, first[j]), first[j + 1]):
             if count + (ALL_POINTS + 1) * TILES_OF_POINT > len(tiles):
                 return count, k
+            if waits[k]:
+                continue
             x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
             y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
-            if not _surroundings_are_inside(x, y, seen) or _must_wait(field, scan_of, scans + j + 1, x, y):
-                continue
             normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
             for grid in range(ALL_POINTS + 1):
                 if _belongs_to(grid, normal_x, normal_y) and not _is_known(tile_of, tiles, grid, x, y):
@@ -172,11 +195,26 @@ def _insert(field, scan_of, scans, count, poses, points, first, begin):  # type:
 
 
 @inlined
-def _must_wait(field, scan_of, scan, x, y):  # type: ignore[no-untyped-def]
-    """Return True if a point of a scan at (x, y), in cells, is in free space, and no scan before had one there."""
-    if nearest_distance(field, ALL_POINTS, x, y) < NEW_SURFACE or not is_surrounded(field[3], x, y):
-        return False
-    return must_wait(scan_of, scan, x, y)
+def _decide_which_wait(  # type: ignore[no-untyped-def]
+    field, waiting, scan, start_x, start_y, c, s, points, told, waits
+):
+    """Set `waits` (p,) to True for the points (p, 6) of a scan that wait or are outside the field.
+
+    The scan has the number `scan`, and was taken at (start_x, start_y), in cells, at a heading with the cosine `c` and
+    the sine `s`. What each point tells is stored in `told` (p,); see `free_space`.
+    """
+    for k in range(len(points)):
+        x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
+        y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
+        told[k], waits[k] = UNTOLD, not _surroundings_are_inside(x, y, field[3])
+        if waits[k]:
+            continue
+        if nearest_distance(field, ALL_POINTS, x, y) < NEW_SURFACE:
+            told[k] = KNOWN
+        elif is_surrounded(field[3], x, y):
+            waits[k] = not is_at_rest(waiting, scan, x, y)
+            told[k] = APPEARED if waits[k] else KNOWN
+    wait_along_lines(points, told, waits)
 
 
 @inlined

@@ -2,7 +2,12 @@
 
 A person who follows the robot keeps its distance. If the scans' points on such a person entered the field, the next
 scans would fit best if the robot had not moved. So a point in free space, around which beams have crossed all cells and
-where no surface is known, waits: it enters the field if a later scan has a point there as well.
+where no surface is known, waits: it enters the field if scans in a row have a point there.
+
+A lidar that tilts on a ramp or a threshold sees the floor as a straight line, which comes nearer and recedes. What
+moves to and fro passes a place twice, and may be seen there twice, but only a body at rest is seen there three times in
+a row. The line may be as long as a wall and extend into space that was not seen before. So a surface waits as a whole:
+all points on a line wait if more of them have appeared in free space than are on known surfaces.
 """
 
 from __future__ import annotations
@@ -16,6 +21,7 @@ from numpy.typing import NDArray
 from drivers.compiled import inlined
 
 from .offset_tiles import FIELD_CELL
+from .scan_points import LINE_DISTANCE
 
 # Metres, side of the cells in which it is stored whether a beam crossed them. Origin: chosen; not measured.
 SEEN_CELL = 0.25
@@ -26,33 +32,46 @@ SEEN_CELLS = round(SEEN_CELL / FIELD_CELL)
 NEW_SURFACE = 0.1
 # The side of these cells in cells of the distance field. Origin: definition.
 WAITING_CELLS = round(NEW_SURFACE / FIELD_CELL)
+# Scans in a row that have a point at a place if a body rests there. Origin: geometry, a position that is quadratic in
+# time has each value twice at most.
+SIGHTINGS = 3
+# What a point of a scan tells about the surface on which it lies: nothing, as it is in space that was not seen before;
+# that it is known, or at rest; that it has appeared in free space. Origin: definition.
+UNTOLD, KNOWN, APPEARED = 0, 1, 2
 
 
 @dataclass(slots=True, eq=False)
 class WaitingPoints:
     """Cells of NEW_SURFACE in which points wait.
 
-    scan_of  (w, w) number of the scan, counted from 1, whose point waits in the cell; 0 if none does
-    scans    number of scans that have been inserted
+    last       (w, w) number of the last scan, counted from 1, that had a point in free space in the cell; 0 if none had
+    sightings  (w, w) number of scans in a row, up to that one, that had
+    scans      number of scans that have been inserted
     """
 
-    scan_of: NDArray[np.int32]
+    last: NDArray[np.int32]
+    sightings: NDArray[np.int32]
     scans: int = 0
 
     @classmethod
     def empty(cls, side: int) -> WaitingPoints:
         """Return cells without points for a field with `side` seen cells on each side."""
         cells = -(-side * SEEN_CELLS // WAITING_CELLS)
-        return cls(np.zeros((cells, cells), dtype=np.int32))
+        return cls(np.zeros((cells, cells), dtype=np.int32), np.zeros((cells, cells), dtype=np.int32))
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Arrays for compiled functions."""
+        return self.last, self.sightings
 
     def clear(self) -> None:
         """Remove all points."""
-        self.scan_of.fill(0)
+        self.last.fill(0)
         self.scans = 0
 
     def copy(self) -> WaitingPoints:
         """Return an independent copy."""
-        return WaitingPoints(self.scan_of.copy(), self.scans)
+        return WaitingPoints(self.last.copy(), self.sightings.copy(), self.scans)
 
 
 @inlined
@@ -89,10 +108,45 @@ def is_surrounded(seen, x, y):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def must_wait(scan_of, scan, x, y):  # type: ignore[no-untyped-def]
-    """Return True if no scan before the one numbered `scan` had a point in the cell of (x, y); store that it has."""
+def is_at_rest(waiting, scan, x, y):  # type: ignore[no-untyped-def]
+    """Store that the scan numbered `scan` has a point in the cell of (x, y); return True if SIGHTINGS in a row had.
+
+    waiting  see `WaitingPoints.arrays`
+    """
+    last, sightings = waiting
     i, j = math.floor(x) // WAITING_CELLS, math.floor(y) // WAITING_CELLS
-    if 0 < scan_of[i, j] < scan:
-        return False
-    scan_of[i, j] = scan
-    return True
+    if last[i, j] != scan:
+        sightings[i, j] = sightings[i, j] + 1 if 0 < last[i, j] == scan - 1 else 1
+        last[i, j] = scan
+    return sightings[i, j] >= SIGHTINGS
+
+
+@inlined
+def wait_along_lines(points, told, waits):  # type: ignore[no-untyped-def]
+    """Let all points on a line wait if more of them have appeared in free space than are on what is known.
+
+    points  (p, 6) of one scan, with their normals
+    told    (p,) what each tells: UNTOLD, KNOWN or APPEARED
+    waits   (p,) True if the point does not enter the field; overwritten
+    """
+    for k in range(len(points)):
+        normal_x, normal_y = points[k, 2], points[k, 3]
+        if told[k] != APPEARED or (normal_x == 0.0 and normal_y == 0.0):
+            continue
+        if k and told[k - 1] == APPEARED and points[k - 1, 2] == normal_x and points[k - 1, 3] == normal_y:
+            continue  # the point before is on the same line
+        appeared, known = 0, 0
+        for j in range(len(points)):
+            if _is_on_line(points, j, k):
+                appeared += told[j] == APPEARED
+                known += told[j] == KNOWN
+        if appeared > known:
+            for j in range(len(points)):
+                waits[j] = waits[j] or _is_on_line(points, j, k)
+
+
+@inlined
+def _is_on_line(points, j, k):  # type: ignore[no-untyped-def]
+    """Return True if point j of (p, 6) is on the line through point k across its normal."""
+    x, y = points[j, 0] - points[k, 0], points[j, 1] - points[k, 1]
+    return abs(points[k, 2] * x + points[k, 3] * y) < LINE_DISTANCE

@@ -8,7 +8,7 @@ import numpy as np
 
 from slam.geometry.segments import Floats
 from slam.matching.distance_field import ALL_POINTS, DistanceField, nearest_distance
-from slam.matching.free_space import NEW_SURFACE
+from slam.matching.free_space import NEW_SURFACE, SIGHTINGS
 from slam.matching.offset_tiles import FIELD_CELL
 
 ROBOT = np.zeros(3)
@@ -30,16 +30,36 @@ def room() -> DistanceField:
     return field
 
 
-def test_a_point_in_free_space_waits_for_a_second_scan() -> None:
+def line_across(x: float, from_y: float, to_y: float) -> Floats:
+    """Return points (p, 4), with normals, on a line across the robot's way."""
+    y = np.arange(from_y, to_y, 0.05)
+    return np.column_stack([0 * y + x, y, 0 * y - 1.0, 0 * y])
+
+
+def corridor(length: float) -> Floats:
+    """Return points (p, 4), with normals, on the walls of a corridor 2 m wide that ends `length` metres ahead."""
+    x = np.arange(-1.0, length, 0.05)
+    sides = [np.column_stack([x, 0 * x + y, 0 * x, 0 * x - y]) for y in (-1.0, 1.0)]
+    return np.concatenate([*sides, line_across(length, -1.0, 1.0)])
+
+
+def test_a_point_in_free_space_enters_when_enough_scans_in_a_row_have_seen_it() -> None:
     field = room()
+    for _ in range(SIGHTINGS - 1):
+        field.insert(ROBOT, PERSON)
+    assert distance(field, PERSON[2]) > NEW_SURFACE
+    copy.deepcopy(field).insert(ROBOT, PERSON)
+    assert distance(field, PERSON[2]) > NEW_SURFACE
     field.insert(ROBOT, PERSON)
+    assert distance(field, PERSON[2]) < NEW_SURFACE
+
+
+def test_a_point_that_a_scan_in_between_does_not_see_goes_on_waiting() -> None:
+    field = room()
+    for _ in range(SIGHTINGS):
+        field.insert(ROBOT, PERSON)
+        field.insert(ROBOT, ROOM)
     assert distance(field, PERSON[2]) > NEW_SURFACE
-    other = copy.deepcopy(field)
-    field.insert(ROBOT, ROOM)
-    assert distance(field, PERSON[2]) > NEW_SURFACE
-    for seen_again in (field, other):
-        seen_again.insert(ROBOT, PERSON)
-        assert distance(seen_again, PERSON[2]) < NEW_SURFACE
 
 
 def test_a_person_who_keeps_ahead_of_the_robot_never_enters() -> None:
@@ -57,6 +77,26 @@ def test_a_surface_in_space_that_was_not_seen_enters_at_once() -> None:
     assert distance(field, PERSON[2]) < NEW_SURFACE
 
 
+def test_a_line_waits_as_a_whole_also_at_walls_and_where_nothing_was_seen_before() -> None:
+    field = DistanceField.empty(np.zeros(2), 10.0)
+    field.insert(ROBOT, corridor(6.0))
+    field.insert(ROBOT, line_across(3.0, -0.95, 1.6))
+    for y in (-0.7, 0.0, 0.7, 1.5):
+        assert distance(field, np.array([3.0, y])) > NEW_SURFACE
+    field.insert(ROBOT, line_across(7.5, -0.95, 1.6))  # in space that was not seen before
+    assert distance(field, np.array([7.5, 0.0])) < NEW_SURFACE
+
+
+def test_a_line_that_comes_nearer_and_recedes_never_enters() -> None:
+    field = DistanceField.empty(np.zeros(2), 10.0)
+    field.insert(ROBOT, corridor(9.0))
+    places = [5.0, 4.4, 4.4, 5.0, 6.2]  # of a robot that drives 0.4 m from one scan to the next
+    for scan, x in enumerate(places):
+        driven = 0.4 * scan
+        field.insert(np.array([driven, 0.0, 0.0]), line_across(x - driven, -0.95, 0.95))
+    assert min(distance(field, np.array([x, 0.0])) for x in places) > NEW_SURFACE
+
+
 def test_points_of_several_scans_at_once_enter_as_one_after_the_other() -> None:
     scans = [ROOM, PERSON, PERSON + np.array([0.3, 0.0]), PERSON, ROOM * 0.9]
     with_normals = [np.column_stack([scan, np.zeros_like(scan)]) for scan in scans]
@@ -65,7 +105,8 @@ def test_points_of_several_scans_at_once_enter_as_one_after_the_other() -> None:
         one_by_one.insert(ROBOT, scan)
     together.insert_scans(np.zeros((len(scans), 3)), with_normals)
     assert together.waiting.scans == one_by_one.waiting.scans == len(scans)
-    np.testing.assert_array_equal(together.waiting.scan_of, one_by_one.waiting.scan_of)
+    for together_of, one_by_one_of in zip(together.waiting.arrays, one_by_one.waiting.arrays, strict=True):
+        np.testing.assert_array_equal(together_of, one_by_one_of)
     np.testing.assert_array_equal(together.seen, one_by_one.seen)
     count = one_by_one.offsets.count
     assert together.offsets.count == count
