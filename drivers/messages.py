@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Protocol, TypeAlias, runtime_checkable
@@ -12,6 +13,10 @@ from numpy.typing import NDArray
 from .se2 import Pose
 
 Floats = NDArray[np.float64]
+
+MAX_SPAN = 4.0 * math.pi
+"""Radians from the first beam of a scan to the last at most: it covers about one turn. In degrees it would cover more.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

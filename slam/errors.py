@@ -22,6 +22,10 @@ class MapError(SlamError):
     """A map or trajectory cannot be read, or a map cannot be estimated."""
 
 
+class MessageError(SlamError):
+    """A message that was added to the pipeline has a wrong type, shape, order or value."""
+
+
 class ClusterError(SlamError):
     """The cluster of workers cannot be reached."""
 
@@ -63,6 +67,7 @@ __all__ = [
     "ConfigurationError",
     "DriverError",
     "MapError",
+    "MessageError",
     "MissingExtraError",
     "OutputError",
     "PoseGraphError",

@@ -26,6 +26,7 @@ from .mapping.convergence import converge
 from .mapping.map_features import MapCorners, MapWalls
 from .mapping.plan_map import VIEWS_END, PlanMap
 from .odometry.motion_source import MotionSource
+from .preprocessing.message_check import MessageCheck
 from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
 from .recognition.location import STATED
@@ -84,7 +85,7 @@ class Slam:
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()
         self._report = ScanReport(self._publisher, self._statistics)
-        self._has_odometry = False
+        self._check, self._has_odometry = MessageCheck(), False
         self._session: StoredSession | None = None
         self._motions = MotionSource(self.config.odometry)
         self._preprocessor = start_preprocessor(self.config, resumed)
@@ -107,11 +108,12 @@ class Slam:
         """Add the next Scan, Odometry, YawRate or InitialPose; GroundTruth is only passed on to the sinks.
 
         A scan is processed once odometry covers its sweep. Scans must come in the order of their stamps, and odometry
-        too; a scan may come after later odometry. Raises SlamError after `finish`.
+        too; a scan may come after later odometry. Arrays may also be lists, or of other types of numbers. Raises
+        MessageError if the message cannot be used, which leaves the run as it is, and SlamError after `finish`.
         """
         if self._session is not None:
             raise SlamError("the run has ended, finish() was called: continue its session in another one")
-        message = delay_odometry(message, self.config.lidar.delay or 0.0)
+        message = delay_odometry(self._check.checked(message), self.config.lidar.delay or 0.0)
         message = on_clock_of_first(message, self.config.second_lidar_delay)
         if isinstance(message, GroundTruth):
             self._publisher.publish(GroundTruthReceived(message.stamp, message.pose))

@@ -24,7 +24,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..messages import Floats
+from ..messages import MAX_SPAN, Floats
 
 LASERS = (b"FLASER", b"RLASER", b"ROBOTLASER1")
 KINDS = (b"ODOM", *LASERS)
@@ -100,7 +100,7 @@ def _robotlaser(words: list[bytes]) -> LaserLine:
     if remissions < 0 or not 13 <= len(rest) <= 14:
         raise ValueError("number of fields does not match the number of beams")
     start, resolution, limit = float(words[2]), float(words[4]), float(words[5])
-    if not (abs(start) < 10.0 and 0.0 < resolution < 7.0 and limit > 0.0):
+    if not (abs(start) < 10.0 and 0.0 < resolution < 7.0 and resolution * count <= MAX_SPAN and limit > 0.0):
         raise ValueError("start angle, resolution or maximum range is invalid")
     poses, stamp = [float(word) for word in rest[:6]], float(rest[11])
     _check(*poses)

@@ -12,7 +12,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from ..messages import Floats, Odometry, Scan, YawRate
+from ..messages import MAX_SPAN, Floats, Odometry, Scan, YawRate
 from ..se2 import Pose, wrap
 from ..timestamps import NANOSECONDS, to_seconds
 from .range_units import FAR
@@ -151,7 +151,7 @@ def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1
     count, start, step = len(ranges), message.angle_min, message.angle_increment
     if count == 0:
         raise ValueError("no beams")
-    if not (abs(start) < 100.0 and abs(step) * count < 100.0) or (abs(step) < MIN_ANGLE_STEP and count > 1):
+    if not (abs(start) < 100.0 and abs(step) * count <= MAX_SPAN) or (abs(step) < MIN_ANGLE_STEP and count > 1):
         raise ValueError("angles are invalid")
     low = message.range_min if message.range_min > 0.0 else 0.0
     high = message.range_max if message.range_max > low else math.inf
@@ -184,6 +184,6 @@ def exact_scan_of(message: Any, stamp: float, mount: Pose | None) -> Scan:
     if len(data) < 5 or (len(data) - 2) % 3:
         raise ValueError("exact beams are incomplete")
     angles, ranges, offsets = data[2:].reshape(3, -1)
-    if not (np.all(np.diff(angles) > 0) and np.all(np.isfinite(angles)) and np.all(np.isfinite(offsets))):
+    if not (np.all(np.diff(angles) > 0) and np.ptp(angles) <= MAX_SPAN and np.all(np.isfinite(offsets))):
         raise ValueError("exact beams are not in order")
     return Scan(stamp, ranges, angles, offsets, float(data[0]), float(data[1]), mount)
