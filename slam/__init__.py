@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .mapped_recording import MappedRecording, run
     from .mapping.map_features import MapCorners, MapWalls
     from .pipeline import Slam
+    from .run_saving import save_run
     from .warmup import warm_up
 
 __all__ = [
@@ -38,6 +39,7 @@ __all__ = [
     "SlamError",
     "load_config",
     "run",
+    "save_run",
     "warm_up",
 ]
 
@@ -53,6 +55,7 @@ _MODULES = {
     "SlamError": "errors",
     "load_config": "config",
     "run": "mapped_recording",
+    "save_run": "run_saving",
     "warm_up": "warmup",
 }
 

@@ -23,7 +23,7 @@ from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
 from .io.recording_timing import timed
-from .io.recordings import open_source, reason_without_odometry
+from .io.recordings import absolute_recording, open_source, reason_without_odometry
 from .io.run_results import RunResults
 from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
@@ -34,6 +34,7 @@ from .measuring.measurement import Measurement
 from .measuring.rooms import Room, find_rooms
 from .measuring.wall_map import WallMap
 from .pipeline import Slam
+from .run_saving import save_run
 
 if TYPE_CHECKING:
     from .io.exports import Occupancy
@@ -49,6 +50,7 @@ class MappedRecording:
     truth     true path in the map, aligned with the estimated one; None if the recording has none
     slam      pipeline that made it
     source    recording as it was read
+    reopen    argument of `drivers.open` that opens the recording again, from any working directory
     """
 
     name: str
@@ -57,6 +59,7 @@ class MappedRecording:
     truth: Trajectory | None
     slam: Slam
     source: Source
+    reopen: str
 
     @property
     def walls(self) -> MapWalls:
@@ -134,6 +137,15 @@ class MappedRecording:
         truth = None if self.truth is None else self.truth.poses
         plot_map(Path(path), self.walls, self.corners, self.path, title=self.name, odometry=odometry, truth=truth)
 
+    def save(self, directory: Path | str, *, overwrite: bool = False) -> None:
+        """Write the output directory, as `wclm run --no-review` does: all commands read it. See `save_run`."""
+        from .io.sessions import Recording
+
+        first, last = float(self.stamps[0]), float(self.stamps[-1])
+        stamps = self.source.report.recorded_stamps
+        recording = Recording(name=self.name, path=self.reopen, first=first, last=last, recorded_stamps=stamps)
+        save_run(self.slam, self.finished, directory, name=self.name, recording=recording, overwrite=overwrite)
+
     def svg(self, measurements: Sequence[Measurement] = ()) -> str:
         """Return a drawing of map and path in the scale 1 : 100, with dimension lines of measurements, as SVG."""
         summary = {"recording": self.name, "slam": self.summary}
@@ -202,7 +214,8 @@ def run(
     except MapError as error:
         raise MapError(f"{source.name}: {error}") from error
     by_odometry = odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3))
-    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam, source)
+    reopen = absolute_recording(str(recording))
+    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam, source, reopen)
 
 
 def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:

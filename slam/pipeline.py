@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -70,7 +71,8 @@ class Slam:
         keep_all_features  keep the features of scans in familiar places too, and of a robot that stands, so that the
                            session can be refined later; memory then grows with time. Implied by `refine`
         loops              search for loop closures in another way than the default
-        resumed            session to continue: directly if odometry is continuous, else after relocalisation in its map
+        resumed            session to continue, with later stamps: directly if odometry is continuous, else after
+                           relocalisation in its map
         frozen             keep the map of the session unchanged and only estimate the trajectory in it, see `unfreeze`
         start              roughly known pose [x, y, heading] of the base in the map of the session, or in the plan, at
                            the first scan; without it the robot may be anywhere
@@ -85,7 +87,7 @@ class Slam:
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()
         self._report = ScanReport(self._publisher, self._statistics)
-        self._check, self._has_odometry = MessageCheck(), False
+        self._check, self._has_odometry = MessageCheck(-math.inf if resumed is None else resumed.latest), False
         self._session: StoredSession | None = None
         self._motions = MotionSource(self.config.odometry)
         self._preprocessor = start_preprocessor(self.config, resumed)
@@ -270,6 +272,11 @@ class Slam:
     def corners(self) -> MapCorners:
         """Current corners, without covariances."""
         return map_features(self.slam_state.mapper)[1]
+
+    @property
+    def lidar_mounts(self) -> list[se2.Pose]:
+        """Pose [x, y, heading] on the base of each lidar whose scans were used: as set, else as the scans state."""
+        return self._preprocessor.mounts
 
     @property
     def session(self) -> StoredSession:

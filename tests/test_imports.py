@@ -26,7 +26,7 @@ LAYERS = (
     "errors", "extras", "formatting", "memory", "bounds", "config", "geometry", "graph", "odometry", "mapping",
     "matching", "preprocessing", "localisation", "loop_closure", "recognition", "checks", "events", "estimation",
     "measuring", "io", "reporting", "run_start", "run_session", "run_end", "pose_extrapolation", "pipeline", "warmup",
-    "offline", "evaluation", "visualisation", "mapped_recording", "ros", "cli",
+    "offline", "evaluation", "visualisation", "run_saving", "mapped_recording", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 

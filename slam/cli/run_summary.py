@@ -201,6 +201,8 @@ def _device(device: dict[str, Any]) -> str:
 
 
 def _time(summary: dict[str, Any]) -> str:
+    if "slam_seconds" not in summary:  # the run of a program in Python
+        return "not measured"
     factor = summary["real_time_factor"]
     speed = f"{factor:.0f} times faster than real time" if factor >= 2 else f"{factor:.2f} times as fast as real time"
     return (

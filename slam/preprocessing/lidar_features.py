@@ -58,6 +58,8 @@ class LidarFeatures:
 
     def __init__(self, lidar: LidarConfig, features: FeatureConfig, noise: LearnedNoise | None = None) -> None:
         """`noise` is that of a ray if earlier scans have determined it."""
+        self.mount: se2.Pose | None = None
+        """Mount [x, y, heading] of the lidar at its last scan; None before the first."""
         self._lidar = lidar
         self._extractor = build_extractor(lidar, features, noise)
         self._noise_settled = noise is not None
@@ -69,7 +71,7 @@ class LidarFeatures:
 
     def extract(self, scan: Scan, odometry: OdometryHistory, model: OdometryModel) -> ExtractedScan:
         """De-skew a scan and extract its features."""
-        mount = lidar_mount(scan, self._lidar)
+        self.mount = mount = lidar_mount(scan, self._lidar)
         deskewed = self._within_limits(deskew(scan, odometry, mount, self._lidar.range_bias, model))
         if not self._noise_settled:
             self._noise_settled = self._extractor.settle_noise(deskewed.ranges, deskewed.bearings)

@@ -37,7 +37,9 @@ ORDERED = (Scan, Odometry, YawRate)
 class MessageCheck:
     """Check of one message after the other."""
 
-    def __init__(self) -> None:
+    def __init__(self, after: float = -math.inf) -> None:
+        """`after` is the last stamp of the session that is continued, seconds; without one -inf."""
+        self._after = after
         self._latest: dict[tuple[type, int], float] = {}  # stamp of the last message, by type and number of the lidar
 
     def checked(self, message: Message) -> Message:
@@ -45,7 +47,7 @@ class MessageCheck:
 
         Raises MessageError, with one line, if shapes contradict each other, if a number that must be known is not
         finite, if angles are not in radians and increasing, or if the stamp is more than MAX_STEP_BACK seconds earlier
-        than that of the last message of the same type, or more than MAX_APART from those of the others.
+        than that of the last message of the same type or of the session, or more than MAX_APART from those of others.
         """
         kind = type(message)
         if kind not in NAMES:
@@ -63,6 +65,9 @@ class MessageCheck:
             raise MessageError(f"{name}: the stamp must be a number of seconds, not {stamp!r}")
         if not isinstance(message, ORDERED):
             return
+        if stamp < self._after - MAX_STEP_BACK:
+            end = f"the session that is continued ends at {self._after:.3f} s"
+            raise _error(message, f"{end}; add a constant to all stamps, so that they follow")
         latest = self._latest.get(_sensor(message), -math.inf)
         if stamp < latest - MAX_STEP_BACK:
             raise _error(message, f"it follows one at {latest:.3f} s, but messages must be added in time order")

@@ -81,6 +81,11 @@ class Preprocessor:
         """The same of the second lidar; None if there is none."""
         return self._second.noise if self.joined_scans or self._second_is_known else None
 
+    @property
+    def mounts(self) -> list[se2.Pose]:
+        """Mount [x, y, heading] on the base of each lidar that was used, by number."""
+        return [lidar.mount for lidar in (self._first, self._second) if lidar.mount is not None]
+
     def add(self, message: Odometry | Scan) -> None:
         """Add a message. Scans before the first odometry are dropped once the queue is full."""
         if isinstance(message, Odometry):

@@ -12,7 +12,7 @@ from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.config import Config, config_to_toml
-from slam.errors import MapError
+from slam.errors import MapError, MessageError
 from slam.evaluation.metrics import align
 from slam.events import EventRecorder, Finished, GraphInspected, Notice
 from slam.io.output_dir import CONFIG
@@ -247,11 +247,14 @@ def test_a_run_in_another_building_is_mapped_alone(mapped: tuple[Path, Finished]
 def test_a_drive_from_before_the_last_odometry_of_the_session_is_refused_in_its_frozen_map(
     first: list[Message], mapped: tuple[Path, Finished]
 ) -> None:
-    """It would have no trajectory."""
+    """It would have no trajectory. A drive that begins more than a second before is refused at its first message."""
     session = read_session(mapped[0])
-    session.odometry[-1].add(Odometry(10.0 * LATER, session.odometry[-1].poses[-1]))
+    session.odometry[-1].add(Odometry(LATER + 0.99, session.odometry[-1].poses[-1]))
     slam = Slam(resumed=session, frozen=True, start=np.zeros(3))
-    for message in first[: len(first) // 4]:
-        slam.add(replace(message, stamp=message.stamp + LATER))
+    for message in first:
+        if message.stamp < 0.7:
+            slam.add(replace(message, stamp=message.stamp + LATER))
+    with pytest.raises(MessageError, match=r"ends at 1000\.990 s; add a constant to all stamps"):
+        slam.add(replace(first[-1], stamp=LATER - 0.2))
     with pytest.raises(MapError, match="no measurement is later than those of the session whose map is used"):
         slam.finish()

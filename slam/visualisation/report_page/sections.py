@@ -207,13 +207,14 @@ def accuracy(truth: dict[str, Any] | None) -> str:
 
 
 def timings(summary: dict[str, Any]) -> str:
-    """Return run time and memory, and the mean time of each stage of a keyframe."""
+    """Return run time and memory, if they were measured, and the mean time of each stage of a keyframe."""
     slam_timings = (summary.get("slam") or {}).get("timings") or {}
-    factor = summary["real_time_factor"]
-    head = (
-        f"<p>{duration(summary['slam_seconds'])} for SLAM, {factor:.3g} times as fast as the recording, with at most "
-        f"{summary['peak_memory_mib']:.0f} MiB of memory."
-    )
+    head = "<p>"
+    if "slam_seconds" in summary:
+        head += (
+            f"{duration(summary['slam_seconds'])} for SLAM, {summary['real_time_factor']:.3g} times as fast as the "
+            f"recording, with at most {summary['peak_memory_mib']:.0f} MiB of memory."
+        )
     if "keyframe_median_ms" in slam_timings:
         median, most, longest = (slam_timings[f"keyframe_{name}_ms"] for name in ("median", "p99", "max"))
         most_of_them = f"{most:.1f} ms (99\N{NO-BREAK SPACE}% of them)"

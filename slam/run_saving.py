@@ -1,0 +1,78 @@
+"""Saving of a run as the output directory that all commands read, from a program in Python."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .events import Finished
+from .io.host import versions
+from .io.output_dir import REPORT, OutputDirectory
+from .io.run_results import read_run_results, write_results
+from .io.tum import Trajectory
+
+if TYPE_CHECKING:
+    from .io.sessions import Recording
+    from .pipeline import Slam
+
+
+def save_run(
+    pipeline: Slam,
+    finished: Finished,
+    directory: Path | str,
+    *,
+    name: str = "run",
+    recording: Recording | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write the output directory of a run that has ended, as `wclm run` does, without the review log.
+
+    pipeline   that has made the run
+    finished   what its `finish` returned
+    directory  appears when it is complete
+    name       of the run in the results
+    recording  that was mapped, to be found again; by default the measurements cannot be read again, and no occupancy
+               grid drawn from them
+    overwrite  replace earlier results
+
+    `slam.io.run_results.read_run_results` reads the results, `slam.io.sessions.read_session` what `Slam(resumed=...)`
+    continues. A run that has only localised in a map has no session. Raises OutputError if the directory exists or
+    cannot be written.
+    """
+    from .io.sessions import Recording, write_session
+    from .visualisation.report_page import write_page
+
+    first, last = float(finished.stamps[0]), float(finished.stamps[-1])
+    recording = recording or Recording(name=name, path=None, first=first, last=last)
+    session = replace(pipeline.session, recordings=[*pipeline.session.recordings, recording])
+    saved = session.recordings if pipeline.extends_map else [recording]
+    summary = _summary(finished, name) | {
+        "recording_path": recording.path,
+        "lidars": [mount.tolist() for mount in pipeline.lidar_mounts],
+        "recordings": [one.model_dump() for one in saved],
+    }
+    with OutputDirectory(Path(directory), overwrite) as place:
+        if pipeline.extends_map:
+            write_session(place, session)
+        write_results(place, finished, pipeline.config, summary)
+        write_page(place / REPORT, read_run_results(place))
+
+
+def _summary(finished: Finished, name: str) -> dict[str, Any]:
+    """Return what `summary.json` has of a run whose source and times are not known."""
+    return {
+        "recording": name,
+        "scans": finished.summary["scans"],
+        "start": float(finished.stamps[0]),
+        "duration": float(finished.stamps[-1] - finished.stamps[0]),
+        "keyframes": len(finished.keyframes),
+        "walls": len(finished.walls),
+        "corners": len(finished.corners),
+        "path_length": Trajectory(finished.stamps, finished.poses).length,
+        "truth": None,
+        "warnings": [],
+        "skipped": {"messages": 0, "reasons": {}, "first": None},
+        "slam": finished.summary,
+        "versions": versions(),
+    }

@@ -1,0 +1,98 @@
+"""A run of a program is saved as `wclm run` saves it: commands read it, and another run continues it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import slam
+from drivers.messages import Message
+from drivers.simulation import Simulation
+from slam.errors import MessageError, OutputError
+from slam.io.run_results import read_run_results
+from slam.io.sessions import read_session
+
+ROOM = "sim:room?duration=10&seed=2&lidar=short"
+
+
+@pytest.fixture(scope="module")
+def messages() -> list[Message]:
+    return list(Simulation("room", seed=3, duration=14.0))
+
+
+def save(pipeline: slam.Slam, messages: Sequence[Message], directory: Path) -> slam.Finished:
+    for message in messages:
+        pipeline.add(message)
+    finished = pipeline.finish()
+    slam.save_run(pipeline, finished, directory, name="own robot")
+    return finished
+
+
+def later(messages: Sequence[Message]) -> list[Message]:
+    return [replace(message, stamp=message.stamp + 1000.0) for message in messages]
+
+
+def test_a_saved_recording_has_the_files_of_wclm_run(wclm: Any, tmp_path: Path) -> None:
+    slam.run(ROOM).save(tmp_path / "saved")
+    assert wclm("run", ROOM, "--out", "map", "--no-review").exit_code == 0
+    files = {path.relative_to(tmp_path / "map") for path in (tmp_path / "map").rglob("*") if path.is_file()}
+    assert files == {path.relative_to(tmp_path / "saved") for path in (tmp_path / "saved").rglob("*") if path.is_file()}
+    for file in files:
+        if file.name not in ("summary.json", "report.html"):  # which have times
+            assert (tmp_path / "map" / file).read_bytes() == (tmp_path / "saved" / file).read_bytes(), file
+    assert wclm("map", "saved", "--format", "pgm").exit_code == 0
+
+
+def test_all_commands_read_a_run_whose_measurements_are_not_recorded(
+    wclm: Any, tmp_path: Path, messages: list[Message]
+) -> None:
+    finished = save(slam.Slam(keep_all_features=True), messages, tmp_path / "own")
+    results = read_run_results(tmp_path / "own")
+    assert len(results.walls) == len(finished.walls)
+    assert results.mounts().tolist() == [[0.1, 0.0, 0.0]]
+    assert "own robot" in (tmp_path / "own" / "report.html").read_text()
+    for command in (
+        ("map", "own", "--format", "svg"),
+        ("map", "own", "--format", "pgm"),
+        ("measure", "own"),
+        ("report", "own", "--overwrite"),
+        ("review", "own", "--summary"),
+        ("optimize", "own", "--out", "better"),
+        ("run", "sim:room?duration=10&seed=4", "--localize", "own", "--out", "found"),
+    ):
+        assert wclm(*command).exit_code == 0, command
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_a_saved_run_is_continued_or_localised_in(tmp_path: Path, messages: list[Message], *, frozen: bool) -> None:
+    walls = len(save(slam.Slam(), messages, tmp_path / "first").walls)
+    second = slam.Slam(resumed=read_session(tmp_path / "first"), frozen=frozen)
+    with pytest.raises(MessageError, match="the session that is continued ends at"):
+        second.add(messages[1])  # the first one is ground truth
+    finished = save(second, later(messages), tmp_path / "second")
+    assert (tmp_path / "second" / "session").exists() is not frozen
+    recordings = read_run_results(tmp_path / "second").summary["recordings"]
+    assert len(recordings) == (1 if frozen else 2)
+    assert np.abs(finished.poses[-1] - messages_end(tmp_path)).max() < 0.05
+    assert not frozen or len(finished.walls) == walls
+
+
+def messages_end(directory: Path) -> np.ndarray:
+    """Return the pose at which the first run ended: the second one drives the same way."""
+    return np.array(read_run_results(directory / "first").trajectory.poses[-1])
+
+
+def test_earlier_results_are_replaced_only_if_allowed(tmp_path: Path, messages: list[Message]) -> None:
+    pipeline = slam.Slam()
+    finished = save(pipeline, messages, tmp_path / "own")
+    with pytest.raises(OutputError, match="exists already"):
+        slam.save_run(pipeline, finished, tmp_path / "own")
+    slam.save_run(pipeline, finished, str(tmp_path / "own"), name="again", overwrite=True)
+    summary = read_run_results(tmp_path / "own").summary
+    assert summary["recording"] == "again"
+    assert len(summary["recordings"]) == 1
