@@ -135,7 +135,9 @@ class MappedRecording:
 
         odometry = self.odometry if len(self.odometry) else None
         truth = None if self.truth is None else self.truth.poses
-        plot_map(Path(path), self.walls, self.corners, self.path, title=self.name, odometry=odometry, truth=truth)
+        plot_map(
+            Path(path), self.walls, self.corners, [self.trajectory], title=self.name, odometry=odometry, truth=truth
+        )
 
     def save(self, directory: Path | str, *, overwrite: bool = False) -> None:
         """Write the output directory, as `wclm run --no-review` does: all commands read it. See `save_run`."""

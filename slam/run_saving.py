@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,11 +44,14 @@ def save_run(
     from .io.sessions import Recording, write_session
     from .visualisation.report_page import write_page
 
-    first, last = float(finished.stamps[0]), float(finished.stamps[-1])
+    earlier = pipeline.session.recordings
+    own = finished.stamps > max((one.last for one in earlier), default=-math.inf)
+    driven = Trajectory(finished.stamps[own], finished.poses[own])
+    first, last = float(driven.stamps[0]), float(driven.stamps[-1])
     recording = recording or Recording(name=name, path=None, first=first, last=last)
-    session = replace(pipeline.session, recordings=[*pipeline.session.recordings, recording])
+    session = replace(pipeline.session, recordings=[*earlier, recording])
     saved = session.recordings if pipeline.extends_map else [recording]
-    summary = _summary(finished, name) | {
+    summary = _summary(finished, driven, name) | {
         "recording_path": recording.path,
         "lidars": [mount.tolist() for mount in pipeline.lidar_mounts],
         "recordings": [one.model_dump() for one in saved],
@@ -59,17 +63,20 @@ def save_run(
         write_page(place / REPORT, read_run_results(place))
 
 
-def _summary(finished: Finished, name: str) -> dict[str, Any]:
-    """Return what `summary.json` has of a run whose source and times are not known."""
+def _summary(finished: Finished, driven: Trajectory, name: str) -> dict[str, Any]:
+    """Return what `summary.json` has of a run whose source and times are not known.
+
+    driven  path of this run, without that of the session that was continued
+    """
     return {
         "recording": name,
         "scans": finished.summary["scans"],
         "start": float(finished.stamps[0]),
-        "duration": float(finished.stamps[-1] - finished.stamps[0]),
+        "duration": driven.duration,
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "path_length": Trajectory(finished.stamps, finished.poses).length,
+        "path_length": driven.length,
         "truth": None,
         "warnings": [],
         "skipped": {"messages": 0, "reasons": {}, "first": None},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from ..errors import MapError, first_line
 from ..evaluation.metrics import ReferenceScore, score_reference
 from ..events import Finished
 from ..geometry.segments import Floats
+from ..io.drives import split_drives
 from ..io.output_dir import PICTURE, SESSION
 from ..io.run_results import write_results
 from ..io.tum import Trajectory
@@ -91,7 +92,7 @@ class RunWriter:
             parts[NO_PLAN_DIFFERENCES] = on_plan.write
         if self.picture:
             parts[NO_PICTURE] = lambda place: _draw(
-                place / PICTURE, finished, self.statistics, score, self.run_input.name
+                place / PICTURE, finished, self.statistics, score, self.run_input.name, summary["recordings"]
             )
         return summary, lambda place: self._write(place, finished, summary, parts)
 
@@ -175,7 +176,12 @@ def score_against_truth(finished: Finished, statistics: InputStatistics) -> Refe
 
 
 def _draw(
-    path: Path, finished: Finished, statistics: InputStatistics, score: ReferenceScore | None, title: str
+    path: Path,
+    finished: Finished,
+    statistics: InputStatistics,
+    score: ReferenceScore | None,
+    title: str,
+    recordings: Sequence[Mapping[str, Any]],
 ) -> None:
     from ..mapped_recording import odometry_path
     from ..visualisation.plots import plot_map
@@ -184,4 +190,5 @@ def _draw(
     if statistics.odometry:
         odometry = odometry_path(finished, statistics.first, statistics.odometry_poses.rows)
     truth = None if score is None else se2.compose(se2.inverse(score.alignment), score.reference)
-    plot_map(path, finished.walls, finished.corners, finished.poses, title=title, odometry=odometry, truth=truth)
+    drives = split_drives(Trajectory(finished.stamps, finished.poses), recordings)
+    plot_map(path, finished.walls, finished.corners, drives, title=title, odometry=odometry, truth=truth)

@@ -13,6 +13,7 @@ from ..errors import MapError, first_line
 from ..events import Finished
 from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners, MapWalls
+from .drives import split_drives
 from .json_files import read_json, write_json
 from .keyframes_csv import Keyframes, read_keyframes, write_keyframes
 from .map_json import read_map, write_map
@@ -38,6 +39,10 @@ class RunResults:
     trajectory: Trajectory
     summary: dict[str, Any]
     keyframes: Keyframes | None
+
+    def drives(self) -> list[Trajectory]:
+        """Return the trajectories of the drives: one for each recording, in the order of their stamps."""
+        return split_drives(self.trajectory, self.summary.get("recordings") or ())
 
     def config(self) -> Config:
         """Read the settings of the run. Raises ConfigurationError if that is not possible."""

@@ -76,8 +76,10 @@ def test_a_saved_run_is_continued_or_localised_in(tmp_path: Path, messages: list
         second.add(messages[1])  # the first one is ground truth
     finished = save(second, later(messages), tmp_path / "second")
     assert (tmp_path / "second" / "session").exists() is not frozen
-    recordings = read_run_results(tmp_path / "second").summary["recordings"]
-    assert len(recordings) == (1 if frozen else 2)
+    summary = read_run_results(tmp_path / "second").summary
+    assert len(summary["recordings"]) == (1 if frozen else 2)
+    assert summary["recordings"][-1]["first"] >= 1000.0
+    assert summary["path_length"] == pytest.approx(read_run_results(tmp_path / "first").summary["path_length"], abs=0.1)
     assert np.abs(finished.poses[-1] - messages_end(tmp_path)).max() < 0.05
     assert not frozen or len(finished.walls) == walls
 

@@ -75,11 +75,14 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
             Publisher(sinks).publish(Notice(joined.session.scans[-1].stamp, text, "INFO"))
         log.close()
         finished = optimised.finished
+        summary = _summarise(name, joined, finished, time.perf_counter() - started)
         if picture:
+            from ...io.drives import split_drives
+            from ...io.tum import Trajectory
             from ...visualisation.plots import plot_map
 
-            plot_map(directory / PICTURE, finished.walls, finished.corners, finished.poses, title=name)
-        summary = _summarise(name, joined, finished, time.perf_counter() - started)
+            drives = split_drives(Trajectory(finished.stamps, finished.poses), summary["recordings"])
+            plot_map(directory / PICTURE, finished.walls, finished.corners, drives, title=name)
         write_results(directory, finished, config, summary)
         write_session(directory, optimised.session)
     write_report_page(out)

@@ -126,11 +126,6 @@ def _optimise(
         except MapError as error:
             raise MapError(f"{source}: {error}") from error
     finished = optimised.finished
-    if picture:
-        from ...visualisation.plots import plot_map
-
-        title = f"{summary.get('recording', '')}, optimised"
-        plot_map(directory / PICTURE, finished.walls, finished.corners, finished.poses, title=title)
     summary = summary | {
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
@@ -144,6 +139,14 @@ def _optimise(
         "peak_memory_mib": peak_memory(),
         "versions": versions(),
     }
+    if picture:
+        from ...io.drives import split_drives
+        from ...io.tum import Trajectory
+        from ...visualisation.plots import plot_map
+
+        drives = split_drives(Trajectory(finished.stamps, finished.poses), summary["recordings"])
+        title = f"{summary.get('recording', '')}, optimised"
+        plot_map(directory / PICTURE, finished.walls, finished.corners, drives, title=title)
     write_results(directory, finished, session.config, summary)
     write_session(directory, optimised.session)
     return summary

@@ -110,8 +110,9 @@ def _add_map(space: Modelspace, results: RunResults) -> None:
         space.add_line(_point(start), _point(end), {"layer": "WALLS"})
     for position in results.corners.position:
         space.add_point(_point(position), {"layer": "CORNERS"})
-    poses = results.trajectory.poses
-    space.add_lwpolyline([_point(p) for p in poses[thin_path(poses), :2]], dxfattribs={"layer": "PATH"})
+    for drive in results.drives():
+        points = drive.poses[thin_path(drive.poses), :2]
+        space.add_lwpolyline([_point(p) for p in points], dxfattribs={"layer": "PATH"})
 
 
 def _add_rooms(space: Modelspace, measured: MeasuredMap) -> None:

@@ -26,7 +26,11 @@ from .path_thinning import thin_path
 
 def write_geojson(path: Path, results: RunResults, measured: MeasuredMap = NOTHING_MEASURED) -> None:
     """Write the map, and the rooms and openings of a measured map, with one feature per line, for readability."""
-    features = [*_walls(results.walls), *_corners(results.corners), _path(results.trajectory.poses)]
+    features = [
+        *_walls(results.walls),
+        *_corners(results.corners),
+        *(_path(drive.poses) for drive in results.drives()),
+    ]
     features += [*_confidence(results), *_weak_places(results)]
     features += [*map(_room, measured.rooms), *map(_opening, measured.openings)]
     rows = ",\n".join(json.dumps(feature, allow_nan=False) for feature in features)

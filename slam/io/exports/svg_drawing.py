@@ -86,7 +86,8 @@ def draw_map(results: RunResults, *, timed: bool = False, confidence: bool = Fal
     low, high = points.min(axis=0), points.max(axis=0)
     extent = float(max(*(high - low), 1.0))
     middle, size = (low + high) / 2, np.maximum(high - low, extent / 4) + 2 * MARGIN * extent
-    runs = list(_path_runs(results.trajectory, results.keyframes))
+    began = float(results.trajectory.stamps[0])
+    runs = [run for drive in results.drives() for run in _path_runs(drive, results.keyframes, began)]
     used = {run_class.name for run_class, *_ in runs}
     stretches = wall_stretches(results.walls) if confidence else []
     used |= {PATH_CLASSES[stretch.level].name for stretch in stretches}
@@ -172,13 +173,15 @@ def _corners(corners: MapCorners) -> Iterator[str]:
         yield f'<path class="dot" d="M{_xy([x, y])}h0"><title>{escape(text)}</title></path>'
 
 
-def _path_runs(trajectory: Trajectory, keyframes: Keyframes | None) -> Iterator[tuple[PathClass, Floats, Floats]]:
-    """Yield runs of the path (n, 2) with one class of uncertainty, and seconds (n,) since the start.
+def _path_runs(
+    trajectory: Trajectory, keyframes: Keyframes | None, began: float
+) -> Iterator[tuple[PathClass, Floats, Floats]]:
+    """Yield runs of the path (n, 2) of one drive with one class of uncertainty, and seconds (n,) since `began`.
 
     A run starts at the last point of the one before.
     """
     rows = thin_path(trajectory.poses)
-    points, times = trajectory.poses[rows, :2], trajectory.stamps[rows] - trajectory.stamps[0]
+    points, times = trajectory.poses[rows, :2], trajectory.stamps[rows] - began
     classes = [UNKNOWN_CLASS] * len(points)
     if keyframes is not None and np.isfinite(sigma := keyframes.position_sigma()).any():
         known = np.isfinite(sigma)

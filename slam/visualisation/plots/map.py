@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers.path_length import path_length
-
 from ...formatting import counted
 from ...geometry.segments import Floats
 from ...io.exports.svg_drawing import MAX_ELLIPSE
+from ...io.tum import Trajectory
 from ...mapping.map_features import MapCorners, MapWalls
 from .style import BLUE, GREEN, INK, ORANGE, PURPLE, SKY, ellipses, legend, metric_figure, save
 
@@ -26,26 +26,28 @@ def plot_map(
     path: Path,
     walls: MapWalls,
     corners: MapCorners,
-    poses: Floats,
+    drives: Sequence[Trajectory],
     *,
     title: str,
     odometry: Floats | None = None,
     truth: Floats | None = None,
 ) -> None:
-    """Plot walls, corners and the path `poses` (n, 3), and odometry and truth (m, 3) if given, all in the map frame.
+    """Plot walls, corners and the path of each drive, and odometry and truth (m, 3) if given, all in the map frame.
 
     The plot's extent is that of map and path; odometry may leave it. Raises OutputError.
     """
+    poses = np.concatenate([drive.poses for drive in drives])
     drawn = np.concatenate([walls.end_points().reshape(-1, 2), poses[:, :2]])
     sizes = f"{counted(len(walls), 'wall')}, {counted(len(corners), 'corner')}"
-    subtitle = f"{sizes}, {path_length(poses[:, :2]):.1f} m driven"
+    subtitle = f"{sizes}, {sum(drive.length for drive in drives):.1f} m driven"
     figure, axes = metric_figure(np.array([drawn.min(axis=0), drawn.max(axis=0)]), title, subtitle)
     if odometry is not None:
         dashes: dict[str, Any] = {"linestyle": (0, (4, 2)), "linewidth": 1.0}
         axes.plot(*odometry[:, :2].T, color=ORANGE, **dashes, label="odometry alone", zorder=2)
     if truth is not None:
         axes.plot(*truth[:, :2].T, color=GREEN, linewidth=4.0, alpha=0.3, label="true path", zorder=3)
-    axes.plot(*poses[:, :2].T, color=BLUE, linewidth=1.2, label="path", zorder=4)
+    for k, drive in enumerate(drives):
+        axes.plot(*drive.poses[:, :2].T, color=BLUE, linewidth=1.2, label=None if k else "path", zorder=4)
     _ends(axes, poses)
     _walls(axes, walls)
     _corners(axes, corners)

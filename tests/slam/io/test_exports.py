@@ -20,6 +20,7 @@ from slam.io.exports.text_placement import placed_dimensions
 from slam.io.plans.geojson import read_geojson
 from slam.io.plans.svg import read_svg
 from slam.io.run_results import RunResults, read_run_results, write_results
+from slam.io.tum import Trajectory
 from slam.measuring.measured_map import MeasuredMap, measure_all
 
 from ..measuring.plans import around, room, wall_map
@@ -266,3 +267,28 @@ def test_the_confidence_map_is_no_wall_of_a_plan(uncertain: RunResults, tmp_path
     {".svg": write_svg, ".geojson": write_geojson}[suffix](file, uncertain)
     lines = {".svg": read_svg, ".geojson": read_geojson}[suffix](file).lines
     assert sum(len(line) > 0 for line in lines) == sum(map(len, uncertain.walls.pieces))
+
+
+def test_each_drive_of_a_map_has_a_path_of_its_own(results: RunResults, tmp_path: Path) -> None:
+    ezdxf = pytest.importorskip("ezdxf")
+    trajectory = results.trajectory
+    later = trajectory.stamps + trajectory.duration + 1.0
+    both = Trajectory(
+        np.concatenate([trajectory.stamps, later]), np.concatenate([trajectory.poses, trajectory.poses + 50.0])
+    )
+    recordings = [{"first": stamps[0], "last": stamps[-1]} for stamps in (trajectory.stamps, later)]
+    drives = replace(results, trajectory=both, summary={"recordings": recordings})
+    write_dxf(tmp_path / "map.dxf", drives)
+    paths = ezdxf.readfile(tmp_path / "map.dxf").modelspace().query('LWPOLYLINE[layer=="PATH"]')
+    ends = [np.array([path[0][:2], path[-1][:2]]) for path in paths]
+    write_geojson(tmp_path / "map.geojson", drives)
+    features = json.loads((tmp_path / "map.geojson").read_text())["features"]
+    lines = [one["geometry"]["coordinates"] for one in features if one["properties"]["kind"] == "path"]
+    write_svg(tmp_path / "map.svg", drives)
+    runs = re.findall(r'<polyline [^>]*points="([^"]*)"', (tmp_path / "map.svg").read_text())
+    steps = [np.diff([[float(x) for x in point.split(",")] for point in run.split()], axis=0) for run in runs]
+    assert max(np.abs(step).max() for step in steps if len(step)) < 5.0
+    for k, moved in enumerate((0.0, 50.0)):
+        expected = trajectory.poses[[0, -1], :2] + moved
+        np.testing.assert_allclose(ends[k], expected, atol=1e-3)
+        np.testing.assert_allclose([lines[k][0], lines[k][-1]], expected, atol=1e-3)

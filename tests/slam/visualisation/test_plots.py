@@ -65,7 +65,7 @@ def test_a_map_is_drawn_true_to_scale_with_all_there_is_to_show(tmp_path: Path, 
         tmp_path / "a.png",
         finished.walls,
         finished.corners,
-        finished.poses,
+        [Trajectory(finished.stamps, finished.poses)],
         title="a room",
         odometry=odometry,
         truth=finished.poses + np.array([0.01, 0.0, 0.0]),
@@ -77,7 +77,8 @@ def test_a_map_is_drawn_true_to_scale_with_all_there_is_to_show(tmp_path: Path, 
 def test_a_map_without_walls_and_corners_is_drawn(tmp_path: Path, finished: Finished) -> None:
     lines = replace(finished.walls, **{f.name: getattr(finished.walls, f.name)[:0] for f in fields(finished.walls)})
     corners = {f.name: getattr(finished.corners, f.name)[:0] for f in fields(finished.corners)}
-    plot_map(tmp_path / "a.png", lines, replace(finished.corners, **corners), finished.poses[:1], title="nothing")
+    start = Trajectory(finished.stamps[:1], finished.poses[:1])
+    plot_map(tmp_path / "a.png", lines, replace(finished.corners, **corners), [start], title="nothing")
     assert min(size(tmp_path / "a.png")) > 500
 
 
@@ -85,9 +86,9 @@ def test_a_narrow_map_with_a_long_title_is_drawn(tmp_path: Path, finished: Finis
     """Names of bags are long; without room for the title, a warning was printed and nothing was laid out."""
     lines = replace(finished.walls, **{f.name: getattr(finished.walls, f.name)[:0] for f in fields(finished.walls)})
     corners = {f.name: getattr(finished.corners, f.name)[:0] for f in fields(finished.corners)}
-    along = np.array([[0.0, 0.0, 0.0], [0.0, 30.0, 0.0]])
+    along = Trajectory(np.array([0.0, 1.0]), np.array([[0.0, 0.0, 0.0], [0.0, 30.0, 0.0]]))
     title = "robobehaviors_fsm_bags_wall_follow_with_marker_wall_follow_with_marker_0.db3"
-    plot_map(tmp_path / "a.png", lines, replace(finished.corners, **corners), along, title=title)
+    plot_map(tmp_path / "a.png", lines, replace(finished.corners, **corners), [along], title=title)
     width, height = size(tmp_path / "a.png")
     assert width > 1200
     assert height > 1500
