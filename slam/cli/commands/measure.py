@@ -27,13 +27,18 @@ NOTHING = (
 
 
 class Format(StrEnum):
-    """Output formats; those of files are the suffixes."""
+    """Output formats."""
 
     TEXT = "text"
     CSV = "csv"
     SVG = "svg"
     DXF = "dxf"
     GEOJSON = "geojson"
+
+    @property
+    def suffix(self) -> str:
+        """Suffix of a file in this format."""
+        return ".txt" if self is Format.TEXT else f".{self}"
 
 
 def measure(
@@ -78,9 +83,9 @@ def measure(
     from ..run_setup import READING_SESSION
 
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
-    target = out or (session / f"{MEASURED}.{form}" if drawn else None)
-    if target is not None and target.suffix != f".{form}":
-        raise OutputError(f"{target}: the name must end with .{form}")
+    target = out or (session / f"{MEASURED}{form.suffix}" if drawn else None)
+    if target is not None and target.suffix != form.suffix:
+        raise OutputError(f"{target}: the name must end with {form.suffix} for --format {form}")
     with print_if_slow(READING_SESSION):
         wall_map = read_wall_map(session)
     if regular:
@@ -88,15 +93,15 @@ def measure(
         print_message(found.text)
         wall_map = found.wall_map
     measured = MeasuredMap(measure_walls(wall_map, walls)) if walls else measure_all(wall_map)
+    table = measurements_csv(measured) if form is Format.CSV else _as_text(measured) or NOTHING[bool(walls)]
     if target is None:
-        text = measurements_csv(measured) if form is Format.CSV else _as_text(measured) or NOTHING[bool(walls)]
-        typer.echo(text.rstrip("\n"))
+        typer.echo(table.rstrip("\n"))
         return
     with unfinished_file(target, overwrite) as unfinished:
         if drawn:
             _write_drawing(unfinished, form, session, measured, wall_map if regular else None)
         else:
-            unfinished.write_text(measurements_csv(measured), encoding="utf-8", newline="\n")
+            unfinished.write_text(f"{table.rstrip()}\n", encoding="utf-8", newline="\n")
     openings = f"{len(measured.openings)} doors and passages"
     measurements = counted(len(measured.measurements), "measurement")
     typer.echo(f"{target}: {counted(len(measured.rooms), 'room')}, {openings}, {measurements}")

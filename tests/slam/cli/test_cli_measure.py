@@ -128,3 +128,12 @@ def test_a_regular_room_has_right_angles_and_its_true_dimensions(wclm: Any, sess
     assert wclm("map", session, "--regular", "--format", "svg", "--out", "regular.svg").exit_code == 0
     assert ElementTree.parse("regular.svg").getroot() is not None
     wclm.refuses("map", session, "--regular", "--format", "pgm", because=["is for geojson, svg and dxf"])
+
+
+@pytest.mark.parametrize(("form", "suffix"), [("text", "txt"), ("csv", "csv")])
+def test_a_file_has_what_would_be_printed(wclm: Any, session: Path, tmp_path: Path, form: str, suffix: str) -> None:
+    file = tmp_path / f"a.{suffix}"
+    assert wclm("measure", session, "--format", form, "--out", file).exit_code == 0
+    assert file.read_text() == wclm("measure", session, "--format", form).stdout
+    problem = f"a.pdf: the name must end with .{suffix} for --format {form}"
+    wclm.refuses("measure", session, "--format", form, "--out", "a.pdf", because=[problem])
