@@ -16,7 +16,8 @@ from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
-from ..odometry.velocity import MAX_VELOCITIES, MIN_PERIOD, STEADY_SECONDS, ScanClock, VelocityFilter
+from ..odometry.measurement_clock import MIN_PERIOD, MeasurementClock
+from ..odometry.velocity import MAX_VELOCITIES, STEADY_SECONDS, VelocityFilter
 from .odometry_comparison import OdometryComparison
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
 from .slip_statistics import SlipStatistics
@@ -90,7 +91,7 @@ class PosePredictor:
         self._since_fix: float | None = None  # seconds; None if no slip is possible
         self._last_odometry: se2.Pose | None = None  # at the last scan
         self._odometry_after_gap: se2.Pose | None = None  # at the first scan since the fix that showed something
-        self._clock, self._velocity = ScanClock(), VelocityFilter()
+        self._clock, self._velocity = MeasurementClock(), VelocityFilter()
         self._prediction_error, self._slips = PredictionError(), SlipStatistics()
         self._comparison = OdometryComparison()
 
@@ -180,7 +181,7 @@ class PosePredictor:
     def restore(self, state: TrackerState) -> None:
         """Continue from a saved state."""
         self._fix, self._reference = state.fix, state.reference
-        self._since_fix, self._clock = state.since_fix, ScanClock(state.scan_stamp, state.intervals)
+        self._since_fix, self._clock = state.since_fix, MeasurementClock(state.scan_stamp, state.intervals)
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
         self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
         self._slips, self._comparison = replace(state.slips), OdometryComparison(state.contradicted_for)

@@ -105,7 +105,7 @@ class TrackerState:
     reference   from which odometry predicts
     since_fix   seconds from the last fix to the last scan; None if no slip is possible before the next fix
     scan_stamp  seconds, of the last scan; None before the first one of a part of the map
-    intervals   seconds between the latest scans, see `ScanClock`
+    intervals   seconds between the latest scans, see `MeasurementClock`
     velocity    (3,) see `VelocityFilter`
     velocity_variances  (3,)
     prediction_variances  (3,) see `PredictionError`

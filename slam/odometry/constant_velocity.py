@@ -11,7 +11,8 @@ from drivers.messages import Odometry, Scan
 
 from ..geometry.segments import Floats
 from .gyroscope import Gyroscope
-from .velocity import ScanClock, VelocityFilter
+from .measurement_clock import MeasurementClock
+from .velocity import VelocityFilter
 
 
 class ConstantVelocity:
@@ -20,7 +21,7 @@ class ConstantVelocity:
     def __init__(self, gyroscope: Gyroscope | None = None) -> None:
         """The turns are those of a `gyroscope` while it measures."""
         self._gyroscope = gyroscope or Gyroscope()
-        self._filter, self._clock = VelocityFilter(), ScanClock()
+        self._filter, self._clock = VelocityFilter(), MeasurementClock()
         self._pose = np.zeros(3)  # of odometry at the last scan
         self._interval = 0.0  # seconds between the last two scans
 

@@ -18,7 +18,7 @@ from drivers import se2
 from drivers.messages import Odometry
 
 from .history import wheel_travel
-from .velocity import ScanClock
+from .measurement_clock import MeasurementClock
 
 # Metres from which a motion between two readings may be a jump: tracking searches poses up to here, and stamps that are
 # wrong by half a second make such motions fast. Origin: chosen, as MAX_SEARCH_SHIFT of the matching of points.
@@ -45,7 +45,7 @@ class ContinuousOdometry:
 
     def __init__(self) -> None:
         self.jump: str | None = None
-        self._clock = ScanClock()  # of the readings
+        self._clock = MeasurementClock()  # of the readings
         self._last: _Reading | None = None
         self._before_jump: _Reading | None = None  # while no reading since the jump differs from the first one
 

@@ -27,7 +27,7 @@ from ...matching.line_matcher import Registration
 from ...matching.point_matcher import PointMatch, Prediction
 from ...matching.scan_features import ScanFeatures
 from ...odometry.error_model import OdometryModel
-from ...odometry.velocity import ScanClock
+from ...odometry.measurement_clock import MeasurementClock
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same distance field.
@@ -104,7 +104,7 @@ class FullMapMatcher:
         self._points: dict[int, NDArray[np.float32]] = {}  # of the keyframes in fields
         self._reach = [LOCAL_MAP_MARGIN + scan.features.segments.reach() for scan in history.scans]
         self._last_keyframe = (np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1).tolist()
-        clock = ScanClock()
+        clock = MeasurementClock()
         self._intervals = [clock.interval(stamp) for stamp in history.stamps.tolist()]  # to each scan
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from slam.odometry.velocity import MIN_PERIOD, PERIOD_SAMPLES, ScanClock
+from slam.odometry.measurement_clock import MIN_PERIOD, PERIOD_SAMPLES, MeasurementClock
 
 PERIOD = 0.2
 
 
 def intervals(stamps: list[float]) -> np.ndarray:
-    clock = ScanClock()
+    clock = MeasurementClock()
     return np.array([clock.interval(stamp) for stamp in stamps])
 
 
@@ -41,7 +41,7 @@ def test_scans_of_a_burst_are_a_period_apart(size: int, spacing: float):
 
 @pytest.mark.parametrize("stamps", [[PERIOD * k for k in range(300)], in_bursts(400, 10, 0.001)])
 def test_the_period_is_that_of_the_lidar(stamps: list[float]):
-    clock = ScanClock()
+    clock = MeasurementClock()
     for stamp in [*stamps, stamps[-1] + 30.0 * PERIOD]:  # the last one after a pause
         clock.interval(stamp)
     assert clock.period == pytest.approx(PERIOD, rel=0.3)

@@ -1,0 +1,73 @@
+"""Time from one measurement of a sensor to the next, also where stamps come in bursts."""
+
+from __future__ import annotations
+
+from bisect import bisect_left, insort
+from collections import deque
+from collections.abc import Sequence
+
+# Latest intervals between measurements of which the median is the sensor's period, or the mean if they come in bursts.
+# Origin: chosen, longer than the bursts of a computer that is busy for some seconds; not measured.
+PERIOD_SAMPLES = 101
+# Seconds. Smallest period of a lidar: in a shorter time the stamps of a burst follow each other.
+# Origin: definition, the fastest two-dimensional lidars measure 100 scans per second; half of their period.
+MIN_PERIOD = 0.005
+# Share of the period below which the interval between two stamps shows that they come in bursts. Not half: a log
+# without some of its scans has intervals of one, two and three periods. Origin: chosen; not measured.
+MIN_INTERVAL = 0.25
+
+
+class MeasurementClock:
+    """Seconds from one measurement of a sensor to the next: scan to scan, or reading to reading of odometry.
+
+    The stamps of recordings may come in bursts, if a busy computer stamped the scans when it read them. The lidar
+    turned evenly meanwhile, so the mean of the latest intervals is used then. If most scans are in bursts, the median
+    is no period of a lidar either. The same holds for readings of odometry.
+
+    last  stamp of the last measurement; None before the first, and after `start_again`
+    """
+
+    def __init__(self, last: float | None = None, intervals: Sequence[float] = ()) -> None:
+        self.last, self._latest, self._ordered = last, deque(intervals), sorted(intervals)
+
+    @property
+    def intervals(self) -> tuple[float, ...]:
+        """Latest differences of stamps."""
+        return tuple(self._latest)
+
+    @property
+    def period(self) -> float:
+        """Period of the sensor in seconds; there must have been two measurements."""
+        return sum(self._ordered) / len(self._ordered) if self._in_bursts else self._median
+
+    def start_again(self) -> None:
+        """Measure no interval to the next measurement: it may be one of those so far, or follow a break."""
+        self.last = None
+
+    def interval(self, stamp: float) -> float:
+        """Return the seconds from the last measurement to one at `stamp`, which becomes the last.
+
+        The result is 0 for the first measurement, and for the first one after `start_again`.
+        """
+        last, self.last = self.last, stamp
+        if last is None:
+            return 0.0
+        self._add(stamp - last)
+        return self.period if self._in_bursts else max(stamp - last, self.period)
+
+    @property
+    def _median(self) -> float:
+        ordered = self._ordered
+        return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+
+    @property
+    def _in_bursts(self) -> bool:
+        median = self._median
+        return median < MIN_PERIOD or self._ordered[0] < MIN_INTERVAL * median
+
+    def _add(self, interval: float) -> None:
+        """Add an interval to the latest ones, which are kept in order too: to sort them each time takes longer."""
+        self._latest.append(interval)
+        insort(self._ordered, interval)
+        if len(self._latest) > PERIOD_SAMPLES:
+            del self._ordered[bisect_left(self._ordered, self._latest.popleft())]
