@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,6 +34,21 @@ GROSS_SHARE = 0.5
 # Seconds of a comparison that count at most: a slip after a stop is one comparison, and does not last.
 # Origin: definition, it takes two comparisons at least.
 MAX_COMPARED_SECONDS = 0.5 * STEADY_SECONDS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedFix:
+    """Fix of a tracked scan, with what the scans say about the motion there.
+
+    information  (3, 3) of the fix, by the scan alone
+    velocity     at the fix
+    seconds      since the fix before; zero if it does not count
+    """
+
+    fix: PoseFix
+    information: Floats
+    velocity: VelocityFilter
+    seconds: float
 
 
 class OdometryComparison:
@@ -69,10 +85,7 @@ class OdometryComparison:
 
     def add(
         self,
-        fix: PoseFix,
-        information: Floats,
-        velocity: VelocityFilter,
-        seconds: float,
+        compared: ComparedFix,
         model: OdometryModel,
         prediction_error: Floats,
         is_certain: Callable[[Prediction], bool],
@@ -84,16 +97,14 @@ class OdometryComparison:
         the motion. After STEADY_SECONDS of that, odometry is used again: a robot may have any velocity by then. A
         contradiction counts if it is certain, and if the robot moves evenly by the scans.
 
-        information       (3, 3) of the fix, by the scan alone
-        velocity          at the fix
-        seconds           since the fix before; zero if it does not count
         prediction_error  (3, 3) covariance of predictions besides that of the `model`
         is_certain        returns True if a contradiction between the scan and a prediction by odometry is certain
         """
+        fix = compared.fix
         if self._start is None:
-            self._begin(fix, velocity)
+            self._begin(fix, compared.velocity)
             return
-        self._seconds += seconds
+        self._seconds += compared.seconds
         by_odometry, by_scans = self._start.odometry_motion(fix.odometry), se2.between(self._start.pose, fix.pose)
         travel = max(wheel_travel(by_odometry), wheel_travel(by_scans))
         if travel < COMPARED_TRAVEL:
@@ -103,9 +114,9 @@ class OdometryComparison:
         gross = GROSS_SHARE * max(motion, by_scans, key=wheel_travel)
         if not _is_significant(gross, error):
             return
-        by_scan = np.asarray(inverse(information + CONDITIONING))
+        by_scan = np.asarray(inverse(compared.information + CONDITIONING))
         self._compare(by_scans, motion, gross, error + 2.0 * by_scan, is_certain)
-        self._begin(fix, velocity)
+        self._begin(fix, compared.velocity)
 
     def _begin(self, fix: PoseFix, velocity: VelocityFilter) -> None:
         """Begin a comparison at a fix."""

@@ -18,7 +18,7 @@ from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.measurement_clock import MIN_PERIOD, MeasurementClock
 from ..odometry.velocity import MAX_VELOCITIES, STEADY_SECONDS, VelocityFilter
-from .odometry_comparison import OdometryComparison
+from .odometry_comparison import ComparedFix, OdometryComparison
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
 from .slip_statistics import SlipStatistics
 from .small_objects import SmallObjects
@@ -250,9 +250,8 @@ class PosePredictor:
         if self.model.measured:
             # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
             seconds = (self._since_fix or 0.0) if self._interval <= STEADY_SECONDS else 0.0
-            error = self._prediction_error.covariance
-            information = result.registration.total_information
-            self._comparison.add(fix, information, self._velocity, seconds, self.model, error, is_certain)
+            compared = ComparedFix(fix, result.registration.total_information, self._velocity, seconds)
+            self._comparison.add(compared, self.model, self._prediction_error.covariance, is_certain)
         self._slips.add(slipped=result.slipped)
         self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
 

@@ -10,7 +10,7 @@ import pytest
 from drivers import se2
 from slam.config import OdometryConfig
 from slam.geometry.segments import Floats
-from slam.localisation.odometry_comparison import OdometryComparison
+from slam.localisation.odometry_comparison import ComparedFix, OdometryComparison
 from slam.localisation.pose_predictor import PosePredictor
 from slam.localisation.small_objects import SmallObjects
 from slam.localisation.tracking import PoseFix
@@ -52,9 +52,8 @@ def failing(
     for by_scans, by_odometry in motions:
         pose, odometry = se2.compose(pose, by_scans), se2.compose(odometry, by_odometry)
         fix = PoseFix(se2.compose(pose, SIGMAS * random.standard_normal(3)), odometry)
-        comparison.add(
-            fix, np.diag(sigmas**-2), velocity, period, model, np.diag(SIGMAS**2), lambda _prediction: is_certain
-        )
+        compared = ComparedFix(fix, np.diag(sigmas**-2), velocity, period)
+        comparison.add(compared, model, np.diag(SIGMAS**2), lambda _prediction: is_certain)
         found.append(comparison.failing)
     return found
 
@@ -85,7 +84,8 @@ def test_odometry_is_used_again_where_nothing_else_determines_the_motion() -> No
     comparison, model, found = OdometryComparison(STEADY_SECONDS), OdometryModel(OdometryConfig()), list[bool]()
     for k in range(20):
         fix, velocity = PoseFix(k * STEP, k * STEP), VelocityFilter()
-        comparison.add(fix, np.diag(CORRIDOR**-2), velocity, PERIOD, model, np.diag(SIGMAS**2), certain)
+        compared = ComparedFix(fix, np.diag(CORRIDOR**-2), velocity, PERIOD)
+        comparison.add(compared, model, np.diag(SIGMAS**2), certain)
         found.append(comparison.failing)
     assert STEADY_SECONDS <= found.index(False) * PERIOD < STEADY_SECONDS + 0.4
 
@@ -113,7 +113,8 @@ def test_a_correction_of_the_map_is_no_motion() -> None:
     pose, fix = np.zeros(3), PoseFix(np.zeros(3), np.zeros(3))
     for k in range(60):
         pose, fix = se2.compose(fix.pose, STEP), PoseFix(se2.compose(fix.pose, STEP), k * STEP)
-        comparison.add(fix, np.diag(SIGMAS**-2), VelocityFilter(), PERIOD, model, np.diag(SIGMAS**2), certain)
+        compared = ComparedFix(fix, np.diag(SIGMAS**-2), VelocityFilter(), PERIOD)
+        comparison.add(compared, model, np.diag(SIGMAS**2), certain)
         if k % 3 == 0:  # a loop is closed
             correction = np.array([0.8, -0.5, 0.2])
             comparison.follow(correction, fix)
