@@ -109,9 +109,9 @@ class MatchTarget:
         earlier_evidence  (nats) of the points of earlier scans against the first prediction. It holds unless this and
                           the evidence of the scan contradict it: if they do not, its match is returned although
                           another one may cost less. None if the match that costs least is always returned
-        after_gap         True if the robot may have moved beyond the searched poses since the last fix, so that a place far
-                          away is one of many that may look alike: the first prediction holds then unless the points
-                          contradict its match, also if it is out of the prediction's reach
+        after_gap         True if the robot may have moved beyond the searched poses since the last fix, so that a place
+                          far away is one of many that may look alike: the first prediction holds then unless the
+                          points contradict its match, also if it is out of the prediction's reach
         """
         points = points_of(scan) if points is None else points
         match, *others = match_points(self.field, points, predictions, exhaustive=exhaustive)

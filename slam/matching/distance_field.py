@@ -24,16 +24,18 @@ from drivers.compiled import compiled, inlined
 from ..geometry.segments import Floats
 from .free_space import (
     APPEARED,
+    HELD,
+    IN_UNSEEN_SPACE,
     KNOWN,
+    NEW,
     NEW_SURFACE,
     SEEN_CELL,
     SEEN_CELLS,
-    UNTOLD,
     WaitingPoints,
-    is_at_rest,
+    add_sighting,
+    hold_lines,
     is_surrounded,
     mark_seen,
-    wait_along_lines,
 )
 from .offset_tiles import (
     FIELD_CELL,
@@ -127,11 +129,11 @@ class DistanceField:
         if not len(scans):
             return
         points, first, entered = np.concatenate(scans, dtype=np.float64), np.cumsum([0, *map(len, scans)]), 0
-        waits = np.zeros(len(points), dtype=np.bool_)
+        kinds = np.zeros(len(points), dtype=np.uint8)
         while entered < len(points):
             self.offsets.count, entered = _insert(
                 self.arrays, self.waiting.arrays, self.waiting.scans, self.offsets.count,
-                poses, points, waits, first, entered,
+                poses, points, kinds, first, entered,
             )  # fmt: skip
             if entered < len(points):
                 self.offsets.grow()
@@ -153,19 +155,18 @@ def _origin(centre: Floats, half_width: float) -> Floats:
 
 
 @compiled
-def _insert(field, waiting, scans, count, poses, points, waits, first, begin):  # type: ignore[no-untyped-def]
+def _insert(field, waiting, scans, count, poses, points, kinds, first, begin):  # type: ignore[no-untyped-def]
     """Enter the offsets from each point into the cells around it, and mark the cells between it and the robot.
 
     The points of scan j, from `first[j]` to before `first[j + 1]`, are in the frame of `poses[j]`. Those before `begin`
-    have been entered. A scan's own points are no known surfaces for each other, so it is decided first which of them
-    wait; nor do its beams cross free space for them, so their cells are marked afterwards. Returns the number of tiles,
-    of which there were `count`, and the first point that is not entered as there may be no room for its tiles.
+    have been entered. It is decided first which lines of a scan wait, as its own points are no known surfaces for
+    each other. Nor do its beams cross free space for them, so their cells are marked afterwards. Returns the number of
+    tiles, of which there were `count`, and the first point that is not entered as there may be no room for its tiles.
 
     waiting, scans  see `WaitingPoints`
-    waits           (p,) which points of the scan to which `begin` belongs wait; overwritten
+    kinds           (p,) kinds of the points of the scan to which `begin` belongs, see `free_space`; overwritten
     """
     origin, tile_of, tiles, seen = field
-    told = np.empty(len(points), np.int64)
     for j in range(len(poses)):
         if begin >= first[j + 1]:
             continue
@@ -173,16 +174,17 @@ def _insert(field, waiting, scans, count, poses, points, waits, first, begin):  
         start_x, start_y = (poses[j, 0] - origin[0]) / FIELD_CELL, (poses[j, 1] - origin[1]) / FIELD_CELL
         if begin <= first[j]:
             own = slice(first[j], first[j + 1])
-            _decide_which_wait(
-                field, waiting, scans + j + 1, start_x, start_y, c, s, points[own], told[own], waits[own]
-            )
+            _find_kinds(field, waiting, scans + j + 1, start_x, start_y, c, s, points[own], kinds[own])
+            hold_lines(points[own], kinds[own])
         for k in range(max(begin, first[j]), first[j + 1]):
             if count + (ALL_POINTS + 1) * TILES_OF_POINT > len(tiles):
                 return count, k
-            if waits[k]:
-                continue
             x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
             y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
+            if kinds[k] & HELD or not _surroundings_are_inside(x, y, seen):
+                continue
+            if kinds[k] == NEW and nearest_distance(field, ALL_POINTS, x, y) >= NEW_SURFACE:
+                continue
             normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
             for grid in range(ALL_POINTS + 1):
                 if _belongs_to(grid, normal_x, normal_y) and not _is_known(tile_of, tiles, grid, x, y):
@@ -195,26 +197,23 @@ def _insert(field, waiting, scans, count, poses, points, waits, first, begin):  
 
 
 @inlined
-def _decide_which_wait(  # type: ignore[no-untyped-def]
-    field, waiting, scan, start_x, start_y, c, s, points, told, waits
-):
-    """Set `waits` (p,) to True for the points (p, 6) of a scan that wait or are outside the field.
+def _find_kinds(field, waiting, scan, start_x, start_y, c, s, points, kinds):  # type: ignore[no-untyped-def]
+    """Store the kinds (p,) of the points (p, 6) of a scan, see `free_space`, before any of them enters the field.
 
     The scan has the number `scan`, and was taken at (start_x, start_y), in cells, at a heading with the cosine `c` and
-    the sine `s`. What each point tells is stored in `told` (p,); see `free_space`.
+    the sine `s`.
     """
     for k in range(len(points)):
         x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
         y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
-        told[k], waits[k] = UNTOLD, not _surroundings_are_inside(x, y, field[3])
-        if waits[k]:
+        kinds[k] = IN_UNSEEN_SPACE
+        if not _surroundings_are_inside(x, y, field[3]):
             continue
         if nearest_distance(field, ALL_POINTS, x, y) < NEW_SURFACE:
-            told[k] = KNOWN
+            kinds[k] = KNOWN
         elif is_surrounded(field[3], x, y):
-            waits[k] = not is_at_rest(waiting, scan, x, y)
-            told[k] = APPEARED if waits[k] else KNOWN
-    wait_along_lines(points, told, waits)
+            seen_before, at_rest = add_sighting(waiting, scan, x, y)
+            kinds[k] = KNOWN if at_rest else APPEARED if seen_before else NEW
 
 
 @inlined

@@ -1,13 +1,13 @@
-"""Free space of a distance field: the cells that beams have crossed, and points that appear where there was nothing.
+"""Free space of the distance field, and points that appear in it and wait before they enter the field.
 
 A person who follows the robot keeps its distance. If the scans' points on such a person entered the field, the next
 scans would fit best if the robot had not moved. So a point in free space, around which beams have crossed all cells and
-where no surface is known, waits: it enters the field if scans in a row have a point there.
+where no surface is known, waits: it enters the field if a later scan has a point there as well.
 
 A lidar that tilts on a ramp or a threshold sees the floor as a straight line, which comes nearer and recedes. What
 moves to and fro passes a place twice, and may be seen there twice, but only a body at rest is seen there three times in
-a row. The line may be as long as a wall and extend into space that was not seen before. So a surface waits as a whole:
-all points on a line wait if more of them have appeared in free space than are on known surfaces.
+a row. The line may be as long as a wall and extend into space that was not seen before. So a line is held as a whole
+until then: none of its points enters if more of them have appeared in free space than are on known surfaces.
 """
 
 from __future__ import annotations
@@ -35,20 +35,24 @@ WAITING_CELLS = round(NEW_SURFACE / FIELD_CELL)
 # Scans in a row that have a point at a place if a body rests there. Origin: geometry, a position that is quadratic in
 # time has each value twice at most.
 SIGHTINGS = 3
-# What a point of a scan tells about the surface on which it lies: nothing, as it is in space that was not seen before;
-# that it is known, or at rest; that it has appeared in free space. Origin: definition.
-UNTOLD, KNOWN, APPEARED = 0, 1, 2
+# Kinds of a scan's points: in space that was not seen before; on a surface that is known, or at rest; in free space
+# where a scan before had a point as well, and where none had. Origin: definition.
+IN_UNSEEN_SPACE, KNOWN, APPEARED, NEW = 0, 1, 2, 3
+# Bit that is set in the kind of a point on a line that is held. Origin: definition.
+HELD = 4
 
 
 @dataclass(slots=True, eq=False)
 class WaitingPoints:
     """Cells of NEW_SURFACE in which points wait.
 
-    last       (w, w) number of the last scan, counted from 1, that had a point in free space in the cell; 0 if none had
-    sightings  (w, w) number of scans in a row, up to that one, that had
+    first      (w, w) number of the first scan, counted from 1, with a point in free space in the cell; 0 without one
+    last       (w, w) number of the last one
+    sightings  (w, w) number of scans in a row, up to the last one, that had
     scans      number of scans that have been inserted
     """
 
+    first: NDArray[np.int32]
     last: NDArray[np.int32]
     sightings: NDArray[np.int32]
     scans: int = 0
@@ -57,21 +61,22 @@ class WaitingPoints:
     def empty(cls, side: int) -> WaitingPoints:
         """Return cells without points for a field with `side` seen cells on each side."""
         cells = -(-side * SEEN_CELLS // WAITING_CELLS)
-        return cls(np.zeros((cells, cells), dtype=np.int32), np.zeros((cells, cells), dtype=np.int32))
+        return cls(*np.zeros((3, cells, cells), dtype=np.int32))
 
     @property
-    def arrays(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def arrays(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
         """Arrays for compiled functions."""
-        return self.last, self.sightings
+        return self.first, self.last, self.sightings
 
     def clear(self) -> None:
         """Remove all points."""
+        self.first.fill(0)
         self.last.fill(0)
         self.scans = 0
 
     def copy(self) -> WaitingPoints:
         """Return an independent copy."""
-        return WaitingPoints(self.last.copy(), self.sightings.copy(), self.scans)
+        return WaitingPoints(self.first.copy(), self.last.copy(), self.sightings.copy(), self.scans)
 
 
 @inlined
@@ -108,41 +113,45 @@ def is_surrounded(seen, x, y):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def is_at_rest(waiting, scan, x, y):  # type: ignore[no-untyped-def]
-    """Store that the scan numbered `scan` has a point in the cell of (x, y); return True if SIGHTINGS in a row had.
+def add_sighting(waiting, scan, x, y):  # type: ignore[no-untyped-def]
+    """Store that the scan numbered `scan` has a point in the cell of (x, y).
 
-    waiting  see `WaitingPoints.arrays`
+    Returns True if a scan before had one, and True if SIGHTINGS scans in a row had. For `waiting` see
+    `WaitingPoints.arrays`.
     """
-    last, sightings = waiting
+    first, last, sightings = waiting
     i, j = math.floor(x) // WAITING_CELLS, math.floor(y) // WAITING_CELLS
+    if first[i, j] == 0:
+        first[i, j] = scan
     if last[i, j] != scan:
         sightings[i, j] = sightings[i, j] + 1 if 0 < last[i, j] == scan - 1 else 1
         last[i, j] = scan
-    return sightings[i, j] >= SIGHTINGS
+    return first[i, j] < scan, sightings[i, j] >= SIGHTINGS
 
 
 @inlined
-def wait_along_lines(points, told, waits):  # type: ignore[no-untyped-def]
-    """Let all points on a line wait if more of them have appeared in free space than are on what is known.
+def hold_lines(points, kinds):  # type: ignore[no-untyped-def]
+    """Set HELD in the kinds of all points on a line if more of them have appeared in free space than are KNOWN.
 
     points  (p, 6) of one scan, with their normals
-    told    (p,) what each tells: UNTOLD, KNOWN or APPEARED
-    waits   (p,) True if the point does not enter the field; overwritten
+    kinds   (p,) kinds of the points, none of which is held
     """
     for k in range(len(points)):
         normal_x, normal_y = points[k, 2], points[k, 3]
-        if told[k] != APPEARED or (normal_x == 0.0 and normal_y == 0.0):
+        if kinds[k] & ~HELD < APPEARED or (normal_x == 0.0 and normal_y == 0.0):
             continue
-        if k and told[k - 1] == APPEARED and points[k - 1, 2] == normal_x and points[k - 1, 3] == normal_y:
-            continue  # the point before is on the same line
+        same_line = k > 0 and points[k - 1, 2] == normal_x and points[k - 1, 3] == normal_y
+        if same_line and kinds[k - 1] & ~HELD >= APPEARED:
+            continue  # the point before has decided
         appeared, known = 0, 0
         for j in range(len(points)):
             if _is_on_line(points, j, k):
-                appeared += told[j] == APPEARED
-                known += told[j] == KNOWN
+                appeared += kinds[j] & ~HELD >= APPEARED
+                known += kinds[j] & ~HELD == KNOWN
         if appeared > known:
             for j in range(len(points)):
-                waits[j] = waits[j] or _is_on_line(points, j, k)
+                if _is_on_line(points, j, k):
+                    kinds[j] |= HELD
 
 
 @inlined

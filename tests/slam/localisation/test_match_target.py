@@ -128,7 +128,7 @@ def test_the_evidence_of_scans_in_a_row_against_odometry_adds_up(earlier: float)
     scan = scan_of(corridor, pose)
     points = scan.surface_points()
     points[:, WEIGHT] = 0.2
-    moved, stands = Prediction(pose + [0.4, 0.0, 0.0], known), Prediction(pose, known)
+    moved, stands = Prediction(se2.compose(pose, [0.4, 0.0, 0.0]), known), Prediction(pose, known)
     match = target.match(scan, [moved, stands], points, earlier_evidence=earlier)
     assert (match.points.prediction is stands) is (earlier > 0.0)
     assert (match.evidence > earlier) is (earlier > 0.0)

@@ -43,10 +43,9 @@ def corridor(length: float) -> Floats:
     return np.concatenate([*sides, line_across(length, -1.0, 1.0)])
 
 
-def test_a_point_in_free_space_enters_when_enough_scans_in_a_row_have_seen_it() -> None:
+def test_a_point_in_free_space_waits_for_a_second_scan() -> None:
     field = room()
-    for _ in range(SIGHTINGS - 1):
-        field.insert(ROBOT, PERSON)
+    field.insert(ROBOT, PERSON)
     assert distance(field, PERSON[2]) > NEW_SURFACE
     copy.deepcopy(field).insert(ROBOT, PERSON)
     assert distance(field, PERSON[2]) > NEW_SURFACE
@@ -54,12 +53,16 @@ def test_a_point_in_free_space_enters_when_enough_scans_in_a_row_have_seen_it() 
     assert distance(field, PERSON[2]) < NEW_SURFACE
 
 
-def test_a_point_that_a_scan_in_between_does_not_see_goes_on_waiting() -> None:
-    field = room()
+def test_a_line_in_free_space_waits_until_enough_scans_in_a_row_have_seen_it() -> None:
+    field, line = room(), line_across(2.0, -1.0, 1.0)
     for _ in range(SIGHTINGS):
-        field.insert(ROBOT, PERSON)
-        field.insert(ROBOT, ROOM)
-    assert distance(field, PERSON[2]) > NEW_SURFACE
+        field.insert(ROBOT, line)
+        field.insert(ROBOT, ROOM)  # a scan that does not see it
+    assert distance(field, line[5, :2]) > NEW_SURFACE
+    for _ in range(SIGHTINGS):
+        assert distance(field, line[5, :2]) > NEW_SURFACE
+        field.insert(ROBOT, line)
+    assert distance(field, line[5, :2]) < NEW_SURFACE
 
 
 def test_a_person_who_keeps_ahead_of_the_robot_never_enters() -> None:
