@@ -26,7 +26,7 @@ from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.convergence import converge
 from slam.mapping.part_gauge import PartGauge
 from slam.odometry.error_model import OdometryModel
-from slam.odometry.velocity import PERIOD_SAMPLES
+from slam.odometry.measurement_clock import PERIOD_SAMPLES
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 from slam.reporting.publisher import Publisher
 from slam.reporting.run_statistics import RunStatistics
