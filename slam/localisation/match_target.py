@@ -46,7 +46,7 @@ class ScanMatch:
     fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
     known         number of points in space that was seen before
     explained     0 to 1, share of all points that lie on known surfaces, or on objects that may have moved
-    evidence      (nats) against the first prediction, see `MatchTarget.match`
+    evidence      (nats) of this scan and of earlier ones against the first prediction; zero if that holds
     """
 
     points: PointMatch
@@ -106,9 +106,9 @@ class MatchTarget:
 
         points            (p, 6) of the scan with their weights; None if all weights are 1
         exhaustive        see `match_points`
-        earlier_evidence  (nats) of the points of earlier scans against the first prediction. It holds unless this and
-                          the evidence of the scan contradict it: if they do not, its match is returned although
-                          another one may cost less. None if the match that costs least is always returned
+        earlier_evidence  (nats) of earlier scans against the first prediction. That prediction holds, and its match is
+                          returned although another one costs less, unless this evidence and that of the scan add up
+                          to MIN_EVIDENCE. None if the match that costs least is always returned
         after_gap         True if the robot may have moved beyond the searched poses since the last fix, so that a place
                           far away is one of many that may look alike: the first prediction holds then unless the
                           points contradict its match, also if it is out of the prediction's reach
@@ -121,8 +121,8 @@ class MatchTarget:
             near = near if after_gap else _in_reach(near)
             if near is not match:
                 evidence = earlier_evidence + self._evidence(points, near.pose, match.pose)
-            if near is not match and evidence < MIN_EVIDENCE:
-                match, others, evidence = near, [], 0.0
+                if evidence < MIN_EVIDENCE:
+                    match, others, evidence = near, [], 0.0
         prediction = match.prediction
         registration = register(
             match.pose, prediction.pose, prediction.information,

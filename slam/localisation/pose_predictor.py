@@ -34,7 +34,7 @@ class Predictions:
     slip            if odometry has slipped since the last scan, or the motion is not even; None if neither is possible
     caught_up       if odometry has caught up after a recent slip; None without one
     from_tentative  from the tentative pose of the last scan, by odometry and by an even motion; empty without one
-    evidence        (nats) of the points of tentative scans against the usual one, see `MatchTarget.match`
+    evidence        (nats) of tentative scans against the usual one, see `MatchTarget.match`
     """
 
     usual: Prediction
@@ -62,9 +62,9 @@ class Alternative:
 class TentativePose:
     """Pose of a scan that is TENTATIVE, on which the next scan decides.
 
-    fix          if odometry has slipped
-    alternative  if it has not; None if the scan does not fit there
-    evidence     (nats) of the points for the former and against the latter, with that of the scans before
+    fix          pose by which odometry has slipped
+    alternative  pose by which it has not; None if the scan does not fit there
+    evidence     (nats) for a slip, of this scan and of the tentative ones before it
     """
 
     fix: PoseFix

@@ -17,7 +17,7 @@ from .prediction_error import PREDICTION_SIGMAS
 
 # Difference in cost up to which another place may be the right one. Origin: measured, where a lidar that sees 180
 # degrees looks into a room for the first time, parallel walls fit together at wrong places, which cost up to 10.5 less
-# with the wide kernel.
+# with COARSE_SIGMA; with FINE_SIGMA, by which matches are compared, it was not measured again.
 AMBIGUITY = 10.0
 # Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
 # Origin: chi-square, 3 dof, 99.7 %.

@@ -29,6 +29,7 @@ from .free_space import (
     KNOWN,
     NEW,
     NEW_SURFACE,
+    OUTSIDE,
     SEEN_CELL,
     SEEN_CELLS,
     WaitingPoints,
@@ -159,9 +160,9 @@ def _insert(field, waiting, scans, count, poses, points, kinds, first, begin):  
     """Enter the offsets from each point into the cells around it, and mark the cells between it and the robot.
 
     The points of scan j, from `first[j]` to before `first[j + 1]`, are in the frame of `poses[j]`. Those before `begin`
-    have been entered. It is decided first which lines of a scan wait, as its own points are no known surfaces for
-    each other. Nor do its beams cross free space for them, so their cells are marked afterwards. Returns the number of
-    tiles, of which there were `count`, and the first point that is not entered as there may be no room for its tiles.
+    have been entered. The points of a scan are compared with the field before any of them enters it, and the cells that
+    its beams cross are marked afterwards. Returns the number of tiles, of which there were `count`, and the first point
+    that is not entered as there may be no room for its tiles.
 
     waiting, scans  see `WaitingPoints`
     kinds           (p,) kinds of the points of the scan to which `begin` belongs, see `free_space`; overwritten
@@ -181,7 +182,7 @@ def _insert(field, waiting, scans, count, poses, points, kinds, first, begin):  
                 return count, k
             x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
             y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
-            if kinds[k] & HELD or not _surroundings_are_inside(x, y, seen):
+            if kinds[k] == OUTSIDE or kinds[k] & HELD:
                 continue
             if kinds[k] == NEW and nearest_distance(field, ALL_POINTS, x, y) >= NEW_SURFACE:
                 continue
@@ -208,8 +209,8 @@ def _find_kinds(field, waiting, scan, start_x, start_y, c, s, points, kinds):  #
         y = start_y + (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
         kinds[k] = IN_UNSEEN_SPACE
         if not _surroundings_are_inside(x, y, field[3]):
-            continue
-        if nearest_distance(field, ALL_POINTS, x, y) < NEW_SURFACE:
+            kinds[k] = OUTSIDE
+        elif nearest_distance(field, ALL_POINTS, x, y) < NEW_SURFACE:
             kinds[k] = KNOWN
         elif is_surrounded(field[3], x, y):
             seen_before, at_rest = add_sighting(waiting, scan, x, y)

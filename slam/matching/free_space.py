@@ -35,11 +35,11 @@ WAITING_CELLS = round(NEW_SURFACE / FIELD_CELL)
 # Scans in a row that have a point at a place if a body rests there. Origin: geometry, a position that is quadratic in
 # time has each value twice at most.
 SIGHTINGS = 3
-# Kinds of a scan's points: in space that was not seen before; on a surface that is known, or at rest; in free space
-# where a scan before had a point as well, and where none had. Origin: definition.
-IN_UNSEEN_SPACE, KNOWN, APPEARED, NEW = 0, 1, 2, 3
+# Kinds of a scan's points: outside the field; in space that was not seen before; on a known surface, or at rest;
+# in free space where a scan before had a point as well; and where none had. Origin: definition.
+OUTSIDE, IN_UNSEEN_SPACE, KNOWN, APPEARED, NEW = 0, 1, 2, 3, 4
 # Bit that is set in the kind of a point on a line that is held. Origin: definition.
-HELD = 4
+HELD = 8
 
 
 @dataclass(slots=True, eq=False)
@@ -48,7 +48,7 @@ class WaitingPoints:
 
     first      (w, w) number of the first scan, counted from 1, with a point in free space in the cell; 0 without one
     last       (w, w) number of the last one
-    sightings  (w, w) number of scans in a row, up to the last one, that had
+    sightings  (w, w) number of scans in a row with one, up to the last one
     scans      number of scans that have been inserted
     """
 
@@ -116,8 +116,7 @@ def is_surrounded(seen, x, y):  # type: ignore[no-untyped-def]
 def add_sighting(waiting, scan, x, y):  # type: ignore[no-untyped-def]
     """Store that the scan numbered `scan` has a point in the cell of (x, y).
 
-    Returns True if a scan before had one, and True if SIGHTINGS scans in a row had. For `waiting` see
-    `WaitingPoints.arrays`.
+    Returns if a scan before had one, and if SIGHTINGS scans in a row had. For `waiting` see `WaitingPoints.arrays`.
     """
     first, last, sightings = waiting
     i, j = math.floor(x) // WAITING_CELLS, math.floor(y) // WAITING_CELLS

@@ -52,8 +52,9 @@ def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
 def fine_cost(field, points, pose):  # type: ignore[no-untyped-def]
     """Return the cost of points (p, 6) with normals at a pose that is the result of a match.
 
-    So the offsets are compared with FINE_SIGMA. They are measured across the surfaces: the mapped points of a distant
-    wall are decimetres apart, and a scan from where one of them was mapped would always fit best.
+    Such a pose is accurate, so the scale of the offsets is FINE_SIGMA. They are measured across the surfaces: the
+    mapped points of a distant wall are decimetres apart, and a scan from where one of them was mapped would always fit
+    best.
     """
     total = 0.0
     for k in range(len(points)):

@@ -175,7 +175,7 @@ def match_points(
 def _ranked(field: DistanceField, points: Floats, matches: list[PointMatch]) -> list[PointMatch]:
     """Return matches of points (p, 6), those with the lowest cost first.
 
-    The cost of points is that at the result of a match, see `fine_cost`, with that of beams through surfaces.
+    Their costs are those of the prediction, of the points by `fine_cost`, and of the beams through surfaces.
     """
     if len(matches) == 1:
         return matches
