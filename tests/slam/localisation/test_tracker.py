@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from slam.config import OdometryConfig
 from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
 from slam.events import EventRecorder, Notice
 from slam.geometry.segments import CornerPoints, Floats, Segments
-from slam.localisation.match_target import MatchTarget
+from slam.localisation.match_target import MatchTarget, ScanMatch
 from slam.localisation.tracker import Tracker
 from slam.localisation.tracking import TrackingResult, TrackingStatus
 from slam.mapping.local_map import empty_local_map
@@ -145,6 +146,29 @@ def test_odometry_that_stands_still_for_two_seconds_is_corrected(begin: float, m
     assert errors[:, 0].max() < 0.10  # of a keyframe while it stands still
     assert errors[-10:, 0].max() < 0.03
     assert errors[-10:, 1].max() < 0.005
+
+
+def test_the_evidence_of_a_tentative_scan_is_passed_on_to_the_next_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    match, track = MatchTarget.match, Tracker.track
+    given, found = list[float](), [(0.0, False)]  # evidence of each scan, and True if its pose is tentative
+
+    def observed_match(target: MatchTarget, *args: Any, **settings: Any) -> ScanMatch:
+        result = match(target, *args, **settings)
+        if (earlier := settings.get("earlier_evidence")) is not None:
+            given.append(earlier)
+            found.append((result.evidence, False))
+        return result
+
+    def observed_track(tracker: Tracker, *args: Any) -> TrackingResult:
+        result = track(tracker, *args)
+        found[-1] = found[-1][0], result.status is TrackingStatus.TENTATIVE
+        return result
+
+    monkeypatch.setattr(MatchTarget, "match", observed_match)
+    monkeypatch.setattr(Tracker, "track", observed_track)
+    drive(LateOdometry(9))
+    assert given == [evidence if tentative else 0.0 for evidence, tentative in found[:-1]]
+    assert any(given)
 
 
 @pytest.mark.parametrize("jump", [[0.9, 0.0, 0.0], [0.0, -0.8, 0.3], [-1.0, 0.4, -0.5]])

@@ -133,7 +133,7 @@ def test_likely_prediction_is_preferred_and_others_are_tried_if_it_fails() -> No
 
 def test_a_likely_prediction_does_not_prevail_if_all_walls_are_centimetres_off() -> None:
     certain = 1e8 * np.eye(3)  # the matches stay at the predictions
-    off, right = Prediction(se2.compose(INSIDE, [0.03, 0.0, 0.0]), certain), Prediction(INSIDE, certain, 2.0)
+    off, right = Prediction(se2.compose(INSIDE, [-0.03, 0.0, 0.0]), certain), Prediction(INSIDE, certain, 2.0)
     assert match_points(ROOM_FIELD, scan_points(ROOM, INSIDE), [off, right])[0].prediction is right
 
 
