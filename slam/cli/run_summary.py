@@ -11,12 +11,14 @@ from drivers.elapsed import elapsed
 from ..formatting import counted, duration, percent
 from ..io.host import peak_memory, versions
 from ..io.output_dir import TRAJECTORY
+from ..io.run_results import refusing_damaged_summary
 from ..reporting.log_text import log_losses_text
 from .console import printable
 
 if TYPE_CHECKING:
     from ..evaluation.metrics import ReferenceScore
     from ..events import Finished
+    from ..io.run_results import RunResults
     from .run_input import InputStatistics, RunInput
 
 SHOWN_WARNINGS = 4
@@ -86,6 +88,15 @@ def path_length(finished: Finished, first: float, last: float) -> float:
     return Trajectory(finished.stamps[own], finished.poses[own]).length if own.any() else 0.0
 
 
+def check_summary(results: RunResults) -> None:
+    """Raise MapError if the summary of a run is damaged, so that it cannot be shown as text or on a page."""
+    from ..visualisation.report_page import check_page
+
+    check_page(results)
+    with refusing_damaged_summary(results.path):
+        format_summary(RunResult(results.summary, review=False), results.path)
+
+
 def format_summary(result: RunResult, out: Path) -> list[str]:
     """Return the summary as lines of text; `out` is the output directory."""
     from ..visualisation.report_page.findings import health_lines, reason_without_walls, warning_lines
@@ -96,13 +107,14 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         ("map", f"{walls}, {corners}, from {keyframes}"),
         ("time", _time(summary)),
     ]
-    if truth := summary["truth"]:
+    if truth := summary.get("truth"):
         rows.append(
             ("accuracy", f"{truth['ate_rmse']:.3f} m error of the path (ATE RMSE), at most {truth['ate_max']:.3f} m")
         )
     rows += _loops(summary) + _lost(summary) + _plan(summary)
-    if skipped := summary["skipped"]["messages"]:
-        rows.append(("skipped", f"{counted(skipped, 'message')}; first: {summary['skipped']['first']}"))
+    skipped = summary.get("skipped") or {}
+    if count := skipped.get("messages", 0):
+        rows.append(("skipped", f"{counted(count, 'message')}; first: {skipped.get('first')}"))
     recordings = summary.get("recordings") or [{}]
     if shift := recordings[-1].get("shift"):
         where = "" if len(recordings) > 1 else f"in {TRAJECTORY} as recorded; in the other files "
@@ -113,7 +125,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
         rows.append(("log", losses))
     rows += [("warning", text) for text in [*(summary.get("gaps") or ()), *(summary.get("doubts") or ())]]
     rows += [("warning", text) for text in (reason_without_walls(summary), *health_lines(summary)) if text]
-    warnings = warning_lines(summary["warnings"], summary["start"])
+    warnings = warning_lines(summary.get("warnings") or [], summary["start"])
     rows += [("warning", line) for line in warnings[:SHOWN_WARNINGS]]
     if (more := len(warnings) - SHOWN_WARNINGS) > 0:
         rows.append(("", f"and {more} more warnings in summary.json"))

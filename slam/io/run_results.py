@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,7 @@ from ..events import Finished
 from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners, MapWalls
 from .drives import split_drives
-from .json_files import read_json, write_json
+from .json_files import read_json, to_json_types, write_json
 from .keyframes_csv import Keyframes, read_keyframes, write_keyframes
 from .map_json import read_map, write_map
 from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY, require_results
@@ -98,8 +100,21 @@ def read_run_results(path: Path) -> RunResults:
     )
 
 
+@contextmanager
+def refusing_damaged_summary(directory: Path) -> Iterator[None]:
+    """Raise MapError that names the summary of an output directory, in place of errors by its damaged entries."""
+    file = directory / SUMMARY
+    try:
+        yield
+    except KeyError as error:
+        raise MapError(f"{file}: has no {error.args[0]}, which every run writes") from error
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise MapError(f"{file}: is not the summary of a run: {first_line(error)}") from error
+
+
 def _read_summary(path: Path) -> dict[str, Any]:
-    summary = read_json(path)
+    """Read a summary; numbers that are not finite are null, as they would be written again. Raises MapError."""
+    summary = to_json_types(read_json(path))
     if not isinstance(summary, dict):
         raise MapError(f"{path}: is not the summary of a run")
     for name, kind in SUMMARY_TYPES.items():

@@ -67,7 +67,7 @@ def _copy_results(source: Path, directory: Path) -> None:
 
 def _summary(before: dict[str, Any], corrected: CorrectedSession) -> dict[str, Any]:
     """Return the summary of the run with the figures of the corrected map."""
-    finished, slam = corrected.finished, before.get("slam", {})
+    finished, slam = corrected.finished, before.get("slam") or {}
     return before | {
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),

@@ -19,7 +19,7 @@ from ..console import print_if_slow
 from ..notice_collector import NoticeCollector
 from ..run_input import InputStatistics, RecordingInput
 from ..run_setup import READING_SESSION
-from ..run_summary import RunResult, format_summary
+from ..run_summary import RunResult, check_summary, format_summary
 from ..slam_run import process_messages, review_log, write_report_page
 
 if TYPE_CHECKING:
@@ -57,11 +57,10 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
         from ...io.run_results import read_run_results
         from ...io.sessions import read_session
         from ...io.sessions.corrections import read_corrections
-        from ...visualisation.report_page import check_page
 
         started = time.perf_counter()
         results = read_run_results(path)
-        check_page(results)  # the page of the new run shows parts of its summary
+        check_summary(results)  # the new run has parts of it
         if read_corrections(path):
             raise MapError(f"{path}: has manual corrections, which a refinement would drop; refine before correcting")
         with print_if_slow(READING_SESSION):
@@ -132,7 +131,7 @@ def _optimise(
         "corners": len(finished.corners),
         "truth": None,  # the error before refinement no longer applies
         "recordings": [recording.model_dump() for recording in session.recordings],
-        "slam": summary.get("slam", {})
+        "slam": (summary.get("slam") or {})
         | {"refinement": optimised.summary, "factors": optimised.summary["factors_after"]}
         | {"suspects": finished.summary["suspects"]},
         "optimisation_seconds": time.perf_counter() - started,

@@ -9,10 +9,9 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from ...errors import MapError, first_line
 from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw_map
-from ...io.output_dir import CONFIG, SUMMARY
-from ...io.run_results import RunResults
+from ...io.output_dir import CONFIG
+from ...io.run_results import RunResults, refusing_damaged_summary
 from ...measuring.wall_map import WallMap
 from . import sections
 from .confidence import SWITCH, confidence_section
@@ -39,10 +38,8 @@ def check_page(session: RunResults) -> None:
 
 def _encoded(session: RunResults, wall_map: WallMap | None) -> bytes:
     """Return the content of the page. Raises MapError as `write_page` does."""
-    try:
+    with refusing_damaged_summary(session.path):
         return _page(session, wall_map).encode()
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        raise MapError(f"{session.path / SUMMARY}: is not the summary of a run: {first_line(error)}") from error
 
 
 def _page(session: RunResults, wall_map: WallMap | None) -> str:

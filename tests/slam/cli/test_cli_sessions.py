@@ -144,6 +144,23 @@ def test_optimize_refines_a_session(wclm: Any, session: Path) -> None:
     wclm.refuses("optimize", session, "--out", "better", because=["better: exists already"])
 
 
+def test_optimize_needs_of_a_summary_what_every_run_writes(wclm: Any, session: Path) -> None:
+    file = session / SUMMARY
+    summary = json.loads(file.read_text())
+    file.write_text(json.dumps({name: value for name, value in summary.items() if name not in ("skipped", "slam")}))
+    result = wclm("optimize", session, "--out", "better", "--no-review")
+    assert result.exit_code == 0, result.output
+    without_start = json.dumps({name: value for name, value in summary.items() if name != "start"})
+    summary["slam"]["odometry"]["random"]["across"] = float("nan")
+    for damaged, because in (
+        (without_start, "has no start, which every run writes"),
+        (json.dumps(summary), "is not the summary of a run"),
+    ):
+        file.write_text(damaged)
+        wclm.refuses("optimize", session, "--out", "worse", because=[f"{file}: {because}"])
+        assert not Path("worse").exists()
+
+
 def test_optimize_maps_and_refines_a_recording(wclm: Any) -> None:
     drive = "sim:room?duration=5&lidar=short"
     result = wclm("optimize", drive, "--out", "room", "--no-review")
