@@ -89,13 +89,13 @@ class Slam:
         self._report = ScanReport(self._publisher, self._statistics)
         self._check, self._has_odometry = MessageCheck(-math.inf if resumed is None else resumed.latest), False
         self._session: StoredSession | None = None
-        self._motions = MotionSource(self.config.odometry)
         self._preprocessor = start_preprocessor(self.config, resumed)
         if resumed is None:
             self._estimator = Estimator(new_state(self.config, loops, plan, start))
         else:
             self._estimator = Estimator(continued_state(self.config, resumed))
         self._journal = start_journal(resumed, keep_all_features=refine or keep_all_features)
+        self._motions = MotionSource(self.config.odometry, self._journal.segments.last_reading)
         self._stored = RunSession(self.config, self._journal, self._preprocessor, self._statistics, resumed)
         self._localisation = LocalisationReport(
             self.slam_state.odometry_model.unobserved_sigma, self._publisher, self._statistics
@@ -182,11 +182,16 @@ class Slam:
             return
         self._publisher.publish_map(first.stamp, self.slam_state.mapper)
         self._preprocessor.odometry = self._journal.segments.histories[-1]
-        if self._motions.predicted or not self._journal.segments.is_continued_by(first):
-            self._process_queue(sum(not scan.lidar for scan in earlier.queued_scans))
+        continued = not self._motions.predicted and self._journal.segments.is_continued_by(first)
+        if continued and self._motions.jump is None:
+            return
+        self._process_queue(sum(not scan.lidar for scan in earlier.queued_scans))
+        if continued:  # the wheels were not read for a while, and the robot may have driven
+            self._estimator.doubt_place(first.pose)
+        else:
             self._preprocessor.odometry = self._journal.start_odometry_segment()
             self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True, expected=STATED)
-            self._localisation.handle(first.stamp, LocalisationEvent.STARTED_ANYWHERE)
+        self._localisation.handle(first.stamp, LocalisationEvent.STARTED_ANYWHERE)
 
     def _place(self, scan: ProcessedScan, pose: se2.Pose) -> None:
         """Move the robot to the pose that was set, if the scan fits near it."""

@@ -23,8 +23,8 @@ from ..events import Finished, Sink
 from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
-from ..mapping.odometry_segments import MAX_BREAK
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
+from ..odometry.continuity import MAX_BREAK
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow

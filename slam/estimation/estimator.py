@@ -138,6 +138,15 @@ class Estimator:
         self.state.begin_part(pose, odometry, kidnapped=kidnapped, expected=expected)
         self._monitor, self._earlier = ClosureMonitor(), None
 
+    def doubt_place(self, odometry: se2.Pose) -> None:
+        """Map in a new part from now on, until the next scans show that the robot is where it was before.
+
+        odometry  pose of odometry now, in its frame until now: it knows of no motion since the last scan
+        """
+        earlier = EarlierPart(self.state.copy(), self._monitor)
+        self.begin_part(self.state.pose, odometry, kidnapped=True)
+        self._earlier = earlier
+
     def freeze(self) -> None:
         """Keep the map as it is from now on; its closures are not monitored any more. The robot is not lost."""
         self.state.mapper.solve_waiting()

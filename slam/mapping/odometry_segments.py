@@ -9,14 +9,13 @@ import numpy as np
 from drivers.messages import Odometry
 
 from ..geometry.segments import Floats
+from ..odometry.continuity import MAX_BREAK
 from ..odometry.history import OdometryHistory
 from ..odometry.velocity import MAX_VELOCITIES
 from .trajectory_builder import TrajectoryBuilder
 
 # A reading continues a segment if the robot can have driven there since the last reading: a program was stopped and
 # started again, while the base went on counting.
-# Seconds since the last reading. Origin: chosen, time to restart a program; not measured.
-MAX_BREAK = 60.0
 # Metres per second. Origin: definition, no indoor robot is faster.
 MAX_SPEED = float(MAX_VELOCITIES[0])
 # Metres by which the position may differ besides. Origin: chosen, more than the noise of a reading; not measured.
@@ -32,6 +31,14 @@ class OdometrySegments:
 
     def __init__(self, histories: Sequence[OdometryHistory] = (), starts: Sequence[int] = ()) -> None:
         self.histories, self.starts = list(histories), list(starts)
+
+    @property
+    def last_reading(self) -> Odometry | None:
+        """Last reading; None without one."""
+        if not self.histories or not len(self.histories[-1]):
+            return None
+        history = self.histories[-1]
+        return Odometry(float(history.stamps[-1]), history.poses[-1])
 
     @property
     def latest(self) -> float:

@@ -29,6 +29,9 @@ MIN_JUMP_SPEED = 30.0
 MAX_UNSEEN = 1000.0
 # Metres and radians below which a coordinate is zero. Origin: numerical, of poses that are composed of transforms.
 ZERO = 1e-9
+# Seconds since the last reading of a run for which another one is its continuation. Origin: chosen, time to restart a
+# program; not measured.
+MAX_BREAK = 60.0
 # Metres of wheel travel from which a motion to zero is a new start of the base: the three coordinates of a robot that
 # drives are never all zero. Origin: chosen, above the jitter of a robot that stands where its base has started.
 MIN_RESTART = 0.1
@@ -43,8 +46,10 @@ class ContinuousOdometry:
     jump  what the last reading came after, as text, if that was a jump
     """
 
-    def __init__(self) -> None:
+    def __init__(self, earlier: Odometry | None = None) -> None:
+        """`earlier` is the last reading of the run that is continued; a base that was started again goes on from it."""
         self.jump: str | None = None
+        self._earlier = earlier
         self._clock = MeasurementClock()  # of the readings
         self._last: _Reading | None = None
         self._before_jump: _Reading | None = None  # while no reading since the jump differs from the first one
@@ -54,8 +59,8 @@ class ContinuousOdometry:
         last, before = self._last, self._before_jump
         self._clock.interval(reading.stamp)
         if last is None:
-            self._last = _Reading(reading, reading)
-            return reading
+            self._last = self._first(reading)
+            return self._last.used
         period = self._clock.period
         self.jump = _jump(last.read, reading, period)
         if before is not None and not np.array_equal(reading.pose, last.read.pose):
@@ -67,6 +72,14 @@ class ContinuousOdometry:
         else:
             self._last = last.followed_by(reading)
         return self._last.used
+
+    def _first(self, reading: Odometry) -> _Reading:
+        """Return the first reading; that of a base which was started again is at the last pose of the earlier run."""
+        earlier = self._earlier
+        if earlier is None or reading.stamp > earlier.stamp + MAX_BREAK or not _starts_again(earlier, reading):
+            return _Reading(reading, reading)
+        self.jump = RESTARTED
+        return _Reading(reading, replace(reading, pose=earlier.pose))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,10 +113,15 @@ def _jump(last: Odometry, reading: Odometry, period: float) -> str | None:
 
     period  seconds between readings, which their stamps may make shorter
     """
-    x, y, heading = reading.pose.tolist()
+    x, y, _ = reading.pose.tolist()
     distance = math.hypot(x - last.pose[0], y - last.pose[1])
     seconds = max(reading.stamp - last.stamp, period)
     if distance > MIN_JUMP and distance > min(MAX_UNSEEN, MIN_JUMP_SPEED * seconds):
         return JUMPED
-    is_zero = abs(x) < ZERO and abs(y) < ZERO and abs(heading) < ZERO
-    return RESTARTED if is_zero and _travel(last, reading) > MIN_RESTART else None
+    return RESTARTED if _starts_again(last, reading) else None
+
+
+def _starts_again(last: Odometry, reading: Odometry) -> bool:
+    """Return True if a reading is the first one of a base that counts from zero again."""
+    is_zero = all(abs(coordinate) < ZERO for coordinate in reading.pose.tolist())
+    return is_zero and _travel(last, reading) > MIN_RESTART

@@ -20,11 +20,12 @@ class MotionSource:
     predicted  True if there is no odometry, or if it is ignored
     """
 
-    def __init__(self, config: OdometryConfig) -> None:
+    def __init__(self, config: OdometryConfig, earlier: Odometry | None = None) -> None:
+        """`earlier` is the last reading of the run that is continued."""
         self.predicted = config.source == "none"
         self._use_gyroscope = config.gyroscope
         self._gyroscope = Gyroscope()
-        self._readings = ContinuousOdometry()
+        self._readings = ContinuousOdometry(earlier)
         self._wheels = GyroscopeOdometry(self._gyroscope)
         self._prediction = ConstantVelocity(self._gyroscope)
 

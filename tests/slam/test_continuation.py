@@ -19,6 +19,8 @@ from slam.io.output_dir import CONFIG
 from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
+from slam.localisation.state import LocalisationStatus
+from slam.odometry.continuity import RESTARTED
 from slam.offline.optimisation import optimise
 
 DRIVEN, INTERRUPTED = 22.0, 12.0  # seconds of the first drive
@@ -185,6 +187,48 @@ def test_a_run_from_an_unknown_place_is_relocalised_and_extends_the_map(
     again = read_session(leave(slam, tmp_path / "both"))
     assert again.starts == session.starts
     assert [len(history) for history in again.odometry] == [len(history) for history in session.odometry]
+
+
+def started_again(messages: Sequence[Message], stamp: float) -> list[Message]:
+    """Return messages from a stamp (seconds) on whose odometry counts from zero, as that of a base started again."""
+    zero = next(message.pose for message in messages if isinstance(message, Odometry))
+    later = stamp - messages[0].stamp
+    moved = [replace(message, stamp=message.stamp + later) for message in messages]
+    return [
+        replace(message, pose=se2.between(zero, message.pose)) if isinstance(message, Odometry) else message
+        for message in moved
+    ]
+
+
+@pytest.mark.parametrize("pause", [5.0, 50.0])
+def test_a_robot_that_stood_while_the_program_was_restarted_is_soon_placed_where_it_was(
+    first: list[Message], mapped: tuple[Path, Finished], pause: float, tmp_path: Path
+) -> None:
+    """Odometry of devices counts from zero in each run of the program."""
+    cut = first[0].stamp + INTERRUPTED
+    slam, _, _ = run([message for message in first if message.stamp < cut])
+    left = leave(slam, tmp_path / "left")
+    second = started_again([message for message in first if message.stamp >= cut], cut + pause)
+    slam, finished, notices = run(second, left)
+    assert notices == [RESTARTED, "the scans fit where the robot was expected in the map"]
+    ((begin, end),) = finished.summary["lost"]
+    assert end - begin < 3.0
+    assert error(finished, second, mapped[1], first) < 0.02
+
+
+@pytest.mark.parametrize(("world", "begin", "known"), [("office", 2.0, True), ("museum", 22.0, False)])
+def test_a_robot_that_drove_while_the_program_was_restarted_is_lost_until_it_is_recognised(
+    world: str, begin: float, known: bool, tmp_path: Path
+) -> None:
+    """In the museum the first scans of the second drive would fit where the robot was, too."""
+    first = drive(world, 1, 0.0, 15.0)
+    slam, _, _ = run(first)
+    left = leave(slam, tmp_path / "left")
+    second = started_again(drive(world, 1, begin, begin + 12.0), first[-1].stamp + 40.0)
+    slam, _, notices = run(second, left)
+    assert notices[0] == RESTARTED
+    assert ("relocalised in the map" in notices) is known
+    assert (slam.state.status is LocalisationStatus.LOST) is not known
 
 
 def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped: tuple[Path, Finished]) -> None:

@@ -51,6 +51,28 @@ def test_a_motion_of_kilometres_in_a_gap_is_a_jump() -> None:
     assert source.jump == JUMPED
 
 
+def test_a_run_within_a_minute_goes_on_from_the_last_pose_of_the_earlier_one_if_its_odometry_starts_at_zero() -> None:
+    last = Odometry(100.0, np.array([4.0, 8.0, 2.5]))
+    source, motion = ContinuousOdometry(last), np.array([0.1, 0.0, 0.2])
+    np.testing.assert_array_equal(source.continued(Odometry(140.0, np.zeros(3))).pose, last.pose)
+    assert source.jump == RESTARTED
+    np.testing.assert_allclose(source.continued(Odometry(140.1, motion)).pose, se2.compose(last.pose, motion))
+    assert source.jump is None
+
+
+@pytest.mark.parametrize(
+    "reading",
+    [
+        pytest.param(Odometry(100.1, np.array([4.01, 8.0, 2.5])), id="the base has counted on"),
+        pytest.param(Odometry(161.0, np.zeros(3)), id="the robot may have been anywhere for longer than a minute"),
+    ],
+)
+def test_the_first_reading_of_other_runs_is_left_as_it_is(reading: Odometry) -> None:
+    source = ContinuousOdometry(Odometry(100.0, np.array([4.0, 8.0, 2.5])))
+    assert source.continued(reading) is reading
+    assert source.jump is None
+
+
 @pytest.mark.parametrize("distance", [5.0, -5.0])
 def test_a_motion_of_metres_within_a_reading_is_a_jump(distance: float) -> None:
     """As of a counter that overflows: along a bare corridor no scan contradicts it."""
