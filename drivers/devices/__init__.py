@@ -4,6 +4,7 @@ device_spec     the user's text: `rplidar:/dev/ttyUSB0?mode=Standard + create2:/
 device          interface of all devices: identify, start, step, halt
 lidar, rplidar, ld06, scip, wheel_base   the devices
 registry        from a device spec to its device
+external_lidars drivers of lidars in other packages
 device_clock    a device's clock fitted to the host's
 packet_stamper  from the arrival of bytes to stamps
 ports           connections, and the list of serial ports

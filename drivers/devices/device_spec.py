@@ -22,6 +22,7 @@ from urllib.parse import unquote
 import numpy as np
 
 from ..errors import DriverError
+from .external_lidars import external_kinds, external_lidar
 
 AUTO = "auto"
 CAPTURE_PREFIX = "tape:"
@@ -44,7 +45,7 @@ class DeviceSpec:
     @property
     def is_lidar(self) -> bool:
         """True for a lidar, False for a wheel base."""
-        return DEVICE_KINDS[self.kind].is_lidar
+        return self.kind not in DEVICE_KINDS or DEVICE_KINDS[self.kind].is_lidar
 
     @property
     def tcp(self) -> tuple[str, int] | None:
@@ -170,12 +171,24 @@ DEVICE_KINDS: dict[str, DeviceKind] = {
         False, WHEEL_OPTIONS, GEOMETRY_OPTIONS, description="self-made bases with the project's line protocol"
     ),
 }
-"""Kinds of devices by the name that a user types."""
+"""Kinds of devices of this package, by the name that a user types."""
 
 
 def is_device_spec(text: str) -> bool:
     """Return True if a text names devices rather than a recording."""
-    return text.partition(":")[0].strip() in DEVICE_KINDS and ":" in text
+    name, colon, _ = text.partition(":")
+    return bool(colon) and (name.strip() in DEVICE_KINDS or name.strip() in external_kinds())
+
+
+def _kind(name: str) -> DeviceKind | None:
+    """Return the kind of device with this name, also of another package; None if there is none.
+
+    Raises DriverError if the driver of another package cannot be used.
+    """
+    if name in DEVICE_KINDS:
+        return DEVICE_KINDS[name]
+    driver = external_lidar(name)
+    return None if driver is None else DeviceKind(True, {**LIDAR_OPTIONS, **driver.own_options})
 
 
 def parse_devices(text: str) -> list[DeviceSpec]:
@@ -192,12 +205,13 @@ def parse_device(text: str) -> DeviceSpec:
     """Parse the spec of one device; raises SpecError if it is wrong."""
     text = text.strip()
     name, colon, rest = text.partition(":")
-    if not colon or name not in DEVICE_KINDS:
-        raise SpecError(f"{text}: not a device; there are {', '.join(f'{kind}:PORT' for kind in DEVICE_KINDS)}")
+    kind = _kind(name) if colon else None
+    if kind is None:
+        known = ", ".join(f"{known}:PORT" for known in (*DEVICE_KINDS, *external_kinds()))
+        raise SpecError(f"{text}: not a device; there are {known}")
     address, _, query = rest.partition("?")
     if not address:
         raise SpecError(f"{text}: the port is missing; for example {name}:/dev/ttyUSB0, {name}:{AUTO}")
-    kind = DEVICE_KINDS[name]
     options: dict[str, Any] = {}
     for part in filter(None, query.split("&")):
         key, _, value = part.partition("=")

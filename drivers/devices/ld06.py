@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from ..errors import NoResponseError
 from ..lidars import ld06
 from ..lidars.stray_points import find_stray_points
@@ -21,9 +18,7 @@ MIN_MEASUREMENTS = 36
 class Ld06Device(LidarDevice):
     """An LD06, LD19 or STL-27L, by its baud rate. Options: see `device_spec`."""
 
-    def __init__(self, options: Mapping[str, Any]) -> None:
-        super().__init__(options)
-        self.bauds = (options["baud"],) if "baud" in options else tuple(model.baud for model in ld06.MODELS)
+    bauds = tuple(model.baud for model in ld06.MODELS)
 
     def identify(self, transport: Transport, baud: int) -> None:
         """Listen for packets."""
@@ -43,7 +38,8 @@ class Ld06Device(LidarDevice):
     def halt(self, transport: Transport) -> None:
         """Do nothing: the lidar stops only when its power is cut."""
 
-    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
+    def start_stream(self, transport: Transport, baud: int) -> LidarStream:
+        """Read from now on; the lidar sends anyway."""
         model = ld06.model_at(baud)
         return LidarStream(
             ld06.Ld06Decoder(model, baud),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 from ..lidars.measurements import Decoder, Flags, StructuredArray
 from ..lidars.revolutions import RevolutionAssembler
@@ -13,6 +13,9 @@ from ..messages import Message
 from ..transport import Received, Transport
 from .device import Device
 from .packet_stamper import MonotonicStamps, PacketStamper
+
+if TYPE_CHECKING:
+    from .device_spec import Option
 
 
 class LidarStream(NamedTuple):
@@ -36,10 +39,19 @@ class LidarStream(NamedTuple):
 
 
 class LidarDevice(Device):
-    """A lidar with the options of a device spec (see `device_spec`)."""
+    """A lidar with the options of a device spec (see `device_spec`).
+
+    A driver states `bauds`, and defines `identify`, `halt` and `start_stream`.
+
+    own_options  options of a spec that only lidars of this kind have, of a driver in another package
+    """
+
+    own_options: ClassVar[Mapping[str, Option]] = {}
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__()
+        if "baud" in options:
+            self.bauds = (options["baud"],)
         self.required_serial = options.get("serial", "")
         self._options = options
         self._previous_counts: Counter[str] = Counter()  # counts of earlier connections
@@ -57,7 +69,7 @@ class LidarDevice(Device):
         self._previous_counts = Counter(self.counters())
         self._stream = None
         self.identify(transport, baud)
-        stream = self._start_stream(transport, baud)
+        stream = self.start_stream(transport, baud)
         range_min, range_max = stream.limits
         self._assembler = RevolutionAssembler(
             self._options.get("range_min", range_min),
@@ -98,5 +110,5 @@ class LidarDevice(Device):
         return dict(counts)
 
     @abstractmethod
-    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
-        """Make the identified lidar measure."""
+    def start_stream(self, transport: Transport, baud: int) -> LidarStream:
+        """Make the identified lidar measure; return the stream of its measurements from now on."""

@@ -8,6 +8,7 @@ from typing import Any
 from .device import Device
 from .device_spec import DeviceSpec
 from .driving import BaseDriver
+from .external_lidars import external_lidar
 from .ld06 import Ld06Device
 from .rplidar import RplidarDevice
 from .scip import ScipDevice
@@ -22,4 +23,8 @@ LIDAR_DEVICES: Mapping[str, Callable[[Mapping[str, Any]], Device]] = {
 
 def make_device(spec: DeviceSpec, driver: BaseDriver | None = None) -> Device:
     """Create the device of a spec, not yet connected. A wheel base is driven by `driver`, if there is one."""
-    return LIDAR_DEVICES[spec.kind](spec.options) if spec.is_lidar else WheelBaseDevice(spec.kind, spec.options, driver)
+    if not spec.is_lidar:
+        return WheelBaseDevice(spec.kind, spec.options, driver)
+    device = LIDAR_DEVICES.get(spec.kind) or external_lidar(spec.kind)
+    assert device is not None  # the spec was parsed
+    return device(spec.options)

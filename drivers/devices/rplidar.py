@@ -52,11 +52,11 @@ Result = TypeVar("Result")
 class RplidarDevice(LidarDevice):
     """An RPLIDAR. Options: see `device_spec`; `mode` is the name of a scan mode, or "typical"."""
 
+    bauds = BAUDS
     start_timeout = 10.0
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__(options)
-        self.bauds = (options["baud"],) if "baud" in options else BAUDS
         self._info: Info | None = None
         self._motor = Motor.SCAN
         self._has_pwm = False
@@ -85,7 +85,8 @@ class RplidarDevice(LidarDevice):
             transport.set_dtr(True)
         time.sleep(STOP_PAUSE)
 
-    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
+    def start_stream(self, transport: Transport, baud: int) -> LidarStream:
+        """Start the motor and a scan in the mode that the options name."""
         assert self._info is not None
         self._reset_if_failed(transport)
         model = model_of(self._info.model)

@@ -49,11 +49,11 @@ class ScipDevice(LidarDevice):
     delays.
     """
 
+    bauds = BAUDS
     start_timeout = 10.0
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         super().__init__(options)
-        self.bauds = (options["baud"],) if "baud" in options else BAUDS
         self._parameters: Parameters | None = None
 
     def identify(self, transport: Transport, baud: int) -> None:
@@ -77,7 +77,8 @@ class ScipDevice(LidarDevice):
         """Stop measuring, which switches the laser off; the motor continues to turn."""
         transport.write(scip.STOP)
 
-    def _start_stream(self, transport: Transport, baud: int) -> LidarStream:
+    def start_stream(self, transport: Transport, baud: int) -> LidarStream:
+        """Start measuring in the mode that the options name."""
         assert self._parameters is not None
         parameters = self._parameters
         name = self._options.get("mode", "distance")

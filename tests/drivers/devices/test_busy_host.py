@@ -109,7 +109,7 @@ class PluggedLidar(LidarDevice):
     def halt(self, transport: Any) -> None:
         pass
 
-    def _start_stream(self, transport: Any, baud: int) -> LidarStream:
+    def start_stream(self, transport: Any, baud: int) -> LidarStream:
         return self._plugged
 
 
