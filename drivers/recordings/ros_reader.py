@@ -19,6 +19,7 @@ from .multi_echo import MULTI_ECHO, first_echoes
 from .point_clouds import POINT_CLOUD, HeightCut
 from .range_units import ScanInUnits, find_range_unit
 from .reader import RecordingReader
+from .robot_namespaces import topics_of_other_robots
 from .ros_contents import Contents, survey
 from .ros_messages import (
     BEAMS,
@@ -73,6 +74,7 @@ class RosReader(RecordingReader):
         self.scan_topic, self.odometry_topic = scan_topic, odometry_topic
         self.cut = HeightCut()
         self._types = MESSAGE_TYPES
+        self._left_out: frozenset[str] = frozenset()  # topics of other robots, as soon as the lidar's is known
         self._stored_topics: dict[str, str] = {}  # all topics with their types, as far as these are known
 
     def select_scans(self, topic: str, cut_height: float | None, cut_thickness: float) -> None:
@@ -86,6 +88,8 @@ class RosReader(RecordingReader):
     def _messages_to_read(self, final: bool) -> Iterator[StoredMessage]:
         """Yield the stored messages, decompressed, those with several echoes as LaserScans."""
         for stored in self._stored_messages(final):
+            if stored.topic in self._left_out:
+                continue
             message = self._uncompressed(stored) if stored.encoding == "cdr" else stored
             yield first_echoes(message) if message.msgtype == MULTI_ECHO else message
 
@@ -97,10 +101,12 @@ class RosReader(RecordingReader):
         return stored if data is stored.data else replace(stored, data=data)
 
     def _read(self) -> Iterator[tuple[int, Message]]:
-        contents = self._contents
         scans, reason = self._chosen_scan_topic
         if reason is not None:
             self.interpret(reason)
+        contents = self._contents
+        if self._left_out:
+            self.interpret(f"topics of other robots are left out: {', '.join(sorted(self._left_out))}")
         if scans is None:
             self.doubt(self._reason_without_scans())
         odometry = self._odometry
@@ -157,7 +163,14 @@ class RosReader(RecordingReader):
 
     @cached_property
     def _contents(self) -> Contents:
-        """Topics, transforms and the base's frame, found in a first pass; in two, if no LaserScan is to be read."""
+        """Topics, transforms and the base's frame of the robot whose lidar is read."""
+        everything = self._contents_of_all
+        self._left_out = topics_of_other_robots(everything.counts, self._chosen_scan_topic[0])
+        return survey(self._messages_to_read(final=False)) if self._left_out else everything
+
+    @cached_property
+    def _contents_of_all(self) -> Contents:
+        """Topics and transforms of all robots, found in a first pass; in two, if no LaserScan is to be read."""
         contents = survey(self._messages_to_read(final=False))
         topics = contents.counts.get(LASER_SCAN, Counter())
         if not topics or (self.scan_topic is not None and self.scan_topic not in topics):
@@ -168,13 +181,14 @@ class RosReader(RecordingReader):
     @cached_property
     def _chosen_scan_topic(self) -> tuple[str | None, str | None]:
         """Topic with scans, and the reason if there was a choice."""
-        counts = self._contents.counts
+        contents = self._contents_of_all
+        counts = contents.counts
         topics, clouds = counts.get(LASER_SCAN, Counter()), counts.get(POINT_CLOUD, Counter())
         if self.scan_topic in clouds or (clouds and not topics and self.scan_topic is None):
-            chosen = self._choose_topic(self._contents, POINT_CLOUD, self.scan_topic)
+            chosen = self._choose_topic(contents, POINT_CLOUD, self.scan_topic)
             return chosen, f"point clouds of {chosen}, cut {_describe(self.cut)}"
         if self.scan_topic is not None or len(topics) < 2:
-            return self._choose_topic(self._contents, LASER_SCAN, self.scan_topic), None
+            return self._choose_topic(contents, LASER_SCAN, self.scan_topic), None
         candidates = {name: ScanTopic(name) for name in topics}
         for stored in self._messages_to_read(final=False):
             if stored.msgtype == LASER_SCAN:
@@ -224,7 +238,8 @@ class RosReader(RecordingReader):
         topic = self._choose_topic(contents, ODOMETRY, named)
         if topic is not None or not contents.counts.keys() & {TRANSFORMS, TRANSFORMS_ROS1}:
             return OdometryTopic(topic)
-        frames = find_odometry_frames(self._messages_to_read(final=False))
+        lidar = next((stream.frame for stream in contents.clocks.streams(self._chosen_scan_topic[0])), "")
+        frames = find_odometry_frames(self._messages_to_read(final=False), contents.fixed, lidar)
         contents.base = contents.base if frames is None else frames[1]
         return OdometryTopic(None, frames)
 

@@ -85,11 +85,14 @@ def is_moving_transform(stored: StoredMessage) -> bool:
     return stored.msgtype in (TRANSFORMS, TRANSFORMS_ROS1) and not stored.topic.endswith("tf_static")
 
 
-def find_odometry_frames(messages: Iterable[StoredMessage]) -> tuple[str, str] | None:
+def find_odometry_frames(messages: Iterable[StoredMessage], fixed: TransformTree, lidar: str) -> tuple[str, str] | None:
     """Return the frame of the odometry and the frame that it moves, from the transforms of a recording.
 
-    The name of the odometry's frame contains `odom`, by REP 105. Of several such transforms it is the one sent most
-    often; None if there is none.
+    The name of the odometry's frame contains `odom`, by REP 105. Of several such transforms it is one that moves the
+    lidar, if static transforms connect that with its base, and of these the one sent most often; None if there is none.
+
+    fixed  static transforms
+    lidar  frame of the scans; empty if it is unknown
     """
     counts: Counter[tuple[str, str]] = Counter()
     for stored in messages:
@@ -98,4 +101,8 @@ def find_odometry_frames(messages: Iterable[StoredMessage]) -> tuple[str, str] |
                 for stamped in decode(stored.data, stored.msgtype, stored.encoding).transforms:
                     frames = normalize_frame(stamped.header.frame_id), normalize_frame(stamped.child_frame_id)
                     counts[frames] += "odom" in frames[0].rpartition("/")[2]
-    return counts.most_common(1)[0][0] if counts.total() else None
+    moved = Counter(
+        {frames: n for frames, n in counts.items() if n and fixed.mount_on(frames[1], lidar).pose is not None}
+    )
+    found = (moved or counts).most_common(1)
+    return found[0][0] if counts.total() else None

@@ -14,6 +14,7 @@ from drivers.recordings.mcap import McapWriter
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS
 from drivers.recordings.stored_messages import find_odometry_frames
+from drivers.recordings.transforms import TransformTree
 
 from ..conftest import ros_entries
 
@@ -66,7 +67,7 @@ def test_recordings_place_the_scans_for_viewers(tmp_path: Path, drive: list[Mess
     reader = drivers.open(path)
     transforms = [stored for stored in reader._stored_messages(False) if stored.topic == "/tf"]  # type: ignore[attr-defined]
     assert len(transforms) == sum(isinstance(message, Odometry) for message in drive)
-    assert find_odometry_frames(transforms) == ("odom", "base_link")
+    assert find_odometry_frames(transforms, TransformTree(), "") == ("odom", "base_link")
     kept = [message for message in reader if not isinstance(message, GroundTruth)]
     assert len(kept) == sum(not isinstance(message, GroundTruth) for message in drive)
 
