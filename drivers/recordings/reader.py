@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +19,7 @@ from .copies import without_copies
 from .frozen_odometry import FrozenOdometryDetector
 from .odometry_speed import OdometrySpeed
 from .stamp_units import in_seconds
-from .time_ordering import order_by_time, sort_within
+from .time_ordering import FAR, Numbered, order_by_time, sort_within
 
 if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrderTest
@@ -63,6 +63,7 @@ class RecordingReader(ABC):
         self.report = SourceReport()
         self.set_beam_times: BeamTimes | None = None
         self._survey: _Survey | None = None
+        self._lost_scans = ""  # why most scans cannot be used
         if not self.path.exists():
             raise RecordingError(self.path, None, "no such file or directory")
 
@@ -154,9 +155,9 @@ class RecordingReader(ABC):
         return self._turns_as_recorded.scans > 0
 
     def check_scans(self) -> None:
-        """Raise RecordingError, which names what is there instead, if the recording has no scan."""
-        if not self.has_scans:
-            raise RecordingError(self.path, None, self._reason_without_scans())
+        """Raise RecordingError, which says what is there instead, if the recording has no scan or most are useless."""
+        if not self.has_scans or self._lost_scans:
+            raise RecordingError(self.path, None, self._lost_scans or self._reason_without_scans())
 
     @property
     def has_odometry(self) -> bool:
@@ -257,16 +258,22 @@ class RecordingReader(ABC):
 
     def _messages(self) -> Iterator[Message]:
         """Yield the messages as they are recorded. Raises RecordingError if there is neither a scan nor odometry."""
-        found = False
+        read: Counter[type[Message]] = Counter()
+        used: Counter[type[Message]] = Counter()
         try:
-            for message in without_copies(order_by_time(in_seconds(self._read(), self), self), self):
-                found = found or isinstance(message, Scan | Odometry)
+            numbered = _counted(self._read(), read)
+            for message in without_copies(order_by_time(in_seconds(numbered, self), self), self):
+                used[type(message)] += 1
                 yield message
         except OSError as error:
             raise self._read_error(error) from error
-        if not found:
-            first = f" ({self.report.first})" if self.report.first else ""
+        first = f" ({self.report.first})" if self.report.first else ""
+        if not used[Scan] and not used[Odometry]:
             raise RecordingError(self.path, None, f"{self._empty_reason()}{first}")
+        far = min(read[Scan] - used[Scan], self.report.reasons.get(FAR, 0))
+        if far > used[Scan]:
+            self._lost_scans = f"{far} of {read[Scan]} scans cannot be used: do all sensors stamp in seconds?{first}"
+            self.doubt(self._lost_scans)
 
     def _read_error(self, error: OSError) -> RecordingError:
         return RecordingError(self.path, None, f"cannot be read: {error.strerror or error}")
@@ -310,6 +317,13 @@ class RecordingReader(ABC):
     def _reason_without_scans(self) -> str:
         """Return the error text for a recording without a scan."""
         return "contains no laser scan, so there is nothing to map"
+
+
+def _counted(numbered: Iterable[Numbered], counts: Counter[type[Message]]) -> Iterator[Numbered]:
+    """Yield numbered messages and count those of each type."""
+    for line, message in numbered:
+        counts[type(message)] += 1
+        yield line, message
 
 
 def _taken_from(messages: deque[Message]) -> Iterator[Message]:

@@ -35,6 +35,10 @@ CONFIRMATIONS = 5
 """Consecutive messages that must agree before a clock step is accepted."""
 
 
+FAR = "stamp far from those of its neighbours; skipped"
+"""Reason to skip a message whose time is unknown."""
+
+
 class AnomalyCounter(Protocol):
     """Counter of skipped and of corrected messages."""
 
@@ -165,7 +169,7 @@ def _shifted(message: Message, offset: float) -> Message:
 
 def _drop(held: list[Numbered], anomalies: AnomalyCounter) -> None:
     for line, _ in held:
-        anomalies.skip(line, "stamp far from those of its neighbours; skipped")
+        anomalies.skip(line, FAR)
     held.clear()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,20 @@ def test_seconds_are_kept_also_if_scans_are_rare(tmp_path: Path, start: float, p
     assert scans == pytest.approx(start + period * np.arange(COUNT))
     assert not source.report.interpretations
     assert not source.report.doubts
+
+
+def test_a_recording_whose_sensors_stamp_in_different_units_is_not_mapped(tmp_path: Path) -> None:
+    path = tmp_path / "log.clf"
+    lines = [
+        f"ODOM {0.02 * i:.2f} 0 0 0 0 0 {100.0 * i:.6f} host {100.0 * i:.6f}\n"
+        + (f"FLASER 3 1.0 2.0 3.0 {0.02 * i:.2f} 0 0 0 0 0 {0.1 * i:.6f} host {0.1 * i:.6f}\n" if i % 2 else "")
+        for i in range(COUNT)
+    ]
+    path.write_text("".join(lines))
+    reason = r"\d+ of 150 scans cannot be used: do all sensors stamp in seconds\? \(.*log\.clf:\d+: stamp far from"
+    with pytest.raises(RecordingError, match=rf"log\.clf: {reason}"):
+        CarmenReader(path).check_scans()
+    assert any(re.match(reason, text) for text in inspect(CarmenReader(path)).warnings)
 
 
 def test_unit_without_motion_is_doubtful(tmp_path: Path) -> None:
