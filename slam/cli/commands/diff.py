@@ -81,7 +81,7 @@ def diff(
     typer.echo(diff_text(found, corners))
     if shared := shared_scans(earlier, later):
         print_message(
-            f"{shared} scans of {new} are also in {old}: differences that rest on them show the estimate, not the "
+            f"{len(shared)} scans of {new} are also in {old}: differences that rest on them show the estimate, not the "
             "building; compare maps of separate drives"
         )
     if found.different:

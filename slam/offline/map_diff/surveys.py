@@ -64,9 +64,12 @@ def survey_settled(session: StoredSession, wall_map: WallGeometry) -> Survey:
 def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     """Return the pose [x, y, heading] of the new map in the old one, by the walls that both contain.
 
-    Without a guess, the new map is searched for in the old one. Raises MapError with the reason if it is not
-    recognised there, or if the maps have too few walls in common.
+    Without a guess, both maps have the scans that they share at the same place; without such scans, the new map is
+    searched for in the old one. Raises MapError with the reason if it is not recognised there, or if the maps have too
+    few walls in common.
     """
+    if guess is None:
+        guess = _pose_by_shared_scans(old, new)
     if guess is None:
         if old.session is None or new.session is None:
             raise ValueError("a survey without a session cannot be searched for")
@@ -81,12 +84,32 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
     return motion
 
 
-def shared_scans(old: Survey, new: Survey) -> int:
-    """Return how many scans both sessions contain, as if one was made from the other or from the same recording."""
+def shared_scans(old: Survey, new: Survey) -> list[tuple[int, int]]:
+    """Return the rows of the scans that both sessions contain, in the old one and in the new one.
+
+    There are some if one session was made from the other, or both from the same recording.
+    """
     if old.session is None or new.session is None:
-        return 0
-    points = {scan.stamp: scan.features.points.xy for scan in old.session.scans}
-    return sum(
-        scan.stamp in points and np.array_equal(points[scan.stamp], scan.features.points.xy)
-        for scan in new.session.scans
+        return []
+    rows = {scan.stamp: row for row, scan in enumerate(old.session.scans)}
+    return [
+        (rows[scan.stamp], row)
+        for row, scan in enumerate(new.session.scans)
+        if scan.stamp in rows
+        and np.array_equal(old.session.scans[rows[scan.stamp]].features.points.xy, scan.features.points.xy)
+    ]
+
+
+def _pose_by_shared_scans(old: Survey, new: Survey) -> se2.Pose | None:
+    """Return the pose of the new map in the old one by the shared scan in the middle; None if there is none."""
+    shared = shared_scans(old, new)
+    if not shared:
+        return None
+    assert old.session is not None
+    assert new.session is not None
+    row, new_row = shared[len(shared) // 2]
+    there, here = (
+        session.scan_history().scan_poses(session.slam_state.mapper.keyframe_poses)[scan]
+        for session, scan in ((old.session, row), (new.session, new_row))
     )
+    return se2.compose(there, se2.inverse(here))
