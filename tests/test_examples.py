@@ -21,6 +21,11 @@ WITH_PICTURES = {
         ["<sim:room: 6 walls", "m apart, standard deviation", "room 1: 26."],
         'class="dimensions"',
     ),
+    "map_arrays.py": (
+        [],
+        ["<Finished: 8 walls, ", "joint covariance of 8 walls: (16, 16)", "error of the path (RMS): 0."],
+        "ellipses: 100 standard deviations",
+    ),
     "own_factors.py": ([], ["by odometry the mark is 20.6", "by the tape 20.1", "with both 20.1"], "<polyline"),
 }
 """Arguments before the name of the picture that an example writes, expected texts, and an element of the picture."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from ..formatting import counted
 from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners, MapWalls
 
@@ -53,3 +54,7 @@ class Finished:
     poses: Floats
     summary: dict[str, object] = field(default_factory=dict)
     keyframe_covariance: Floats | None = None
+
+    def __repr__(self) -> str:
+        found = (len(self.walls), "wall"), (len(self.corners), "corner"), (len(self.keyframes), "keyframe")
+        return f"<Finished: {', '.join(counted(*one) for one in found)}, {counted(len(self.poses), 'pose')}>"

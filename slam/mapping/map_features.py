@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..formatting import counted
 from ..geometry.segments import Floats, Integers
 
 
@@ -33,6 +34,9 @@ class MapWalls:
 
     def __len__(self) -> int:
         return len(self.frame)
+
+    def __repr__(self) -> str:
+        return f"<MapWalls: {counted(len(self), 'wall')}>"
 
     def end_points(self) -> Floats:
         """Return both end points (n, 2, 2) of each wall in the map, metres."""
@@ -74,3 +78,6 @@ class MapCorners:
 
     def __len__(self) -> int:
         return len(self.position)
+
+    def __repr__(self) -> str:
+        return f"<MapCorners: {counted(len(self), 'corner')}>"
