@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
 
 from .events import Finished
-from .io.host import versions
 from .io.output_dir import REPORT, OutputDirectory
 from .io.run_results import read_run_results, write_results
 from .io.tum import Trajectory
+from .reporting.summary import summarise
 
 if TYPE_CHECKING:
     from .io.sessions import Recording
@@ -48,11 +50,19 @@ def save_run(
     own = finished.stamps > max((one.last for one in earlier), default=-math.inf)
     driven = Trajectory(finished.stamps[own], finished.poses[own])
     first, last = float(driven.stamps[0]), float(driven.stamps[-1])
+    readings = sum(np.count_nonzero(history.stamps >= first) for history in pipeline.session.odometry)
     recording = recording or Recording(name=name, path=None, first=first, last=last)
     session = replace(pipeline.session, recordings=[*earlier, recording])
     saved = session.recordings if pipeline.extends_map else [recording]
-    summary = _summary(finished, driven, name) | {
-        "recording_path": recording.path,
+    summary = summarise(
+        finished,
+        recording=name,
+        recording_path=recording.path,
+        scans=cast(int, finished.summary["scans"]),
+        odometry=int(readings),
+        duration=driven.duration,
+        path_length=driven.length,
+    ) | {
         "lidars": [mount.tolist() for mount in pipeline.lidar_mounts],
         "recordings": [one.model_dump() for one in saved],
     }
@@ -61,25 +71,3 @@ def save_run(
             write_session(place, session)
         write_results(place, finished, pipeline.config, summary)
         write_page(place / REPORT, read_run_results(place))
-
-
-def _summary(finished: Finished, driven: Trajectory, name: str) -> dict[str, Any]:
-    """Return what `summary.json` has of a run whose source and times are not known.
-
-    driven  path of this run, without that of the session that was continued
-    """
-    return {
-        "recording": name,
-        "scans": finished.summary["scans"],
-        "start": float(finished.stamps[0]),
-        "duration": driven.duration,
-        "keyframes": len(finished.keyframes),
-        "walls": len(finished.walls),
-        "corners": len(finished.corners),
-        "path_length": driven.length,
-        "truth": None,
-        "warnings": [],
-        "skipped": {"messages": 0, "reasons": {}, "first": None},
-        "slam": finished.summary,
-        "versions": versions(),
-    }

@@ -118,14 +118,12 @@ class InputStatistics:
     """Statistics of the messages of a run: counts, time span, odometry poses and true poses.
 
     keeps_odometry  keep the odometry poses, to draw them: memory then grows with time
-    mounts          mount of each lidar in its first scan; None if that does not say it
     shift           seconds that were added to all stamps
     """
 
     keeps_odometry: bool = False
     scans: int = 0
     odometry: int = 0
-    mounts: dict[int, se2.Pose | None] = field(default_factory=dict)
     shift: float = 0.0
     first: float = np.inf
     last: float = -np.inf
@@ -146,7 +144,6 @@ class InputStatistics:
                 self.odometry_poses.append(message.pose)
         elif isinstance(message, Scan):
             self.scans += 1
-            self.mounts.setdefault(message.lidar, message.mount)
 
     def recording(self, run_input: RunInput) -> Recording:
         """Return the entry of the recording in a session."""

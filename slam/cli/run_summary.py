@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 from drivers.elapsed import elapsed
 
 from ..formatting import counted, duration, percent
-from ..io.host import peak_memory, versions
 from ..io.output_dir import TRAJECTORY
 from ..io.run_results import refusing_damaged_summary
 from ..reporting.log_text import log_losses_text
+from ..reporting.summary import RunTimes, summarise
 from .console import printable
 
 if TYPE_CHECKING:
@@ -43,41 +43,30 @@ def summarise_run(
     score: ReferenceScore | None,
     *,
     seed: int | None,
-    slam_seconds: float,
-    seconds: float,
+    times: RunTimes,
 ) -> dict[str, Any]:
     """Return the summary of a run: its input, result, times, memory and warnings.
 
-    score         error against ground truth, if known
-    slam_seconds  time that the pipeline took
-    seconds       time from the first message to the end
+    score  error against ground truth, if known
+    times  of the pipeline, and from the first message to the end
     """
-    report = run_input.report
-    return {
-        "recording": run_input.name,
-        "recording_path": run_input.reopen,
-        "seed": seed,
-        "scans": statistics.scans,
-        "odometry": statistics.odometry,
-        "start": float(finished.stamps[0]),
-        "duration": statistics.duration,
-        "keyframes": len(finished.keyframes),
-        "walls": len(finished.walls),
-        "corners": len(finished.corners),
-        "path_length": path_length(finished, statistics.first, statistics.last),
-        "slam_seconds": slam_seconds,
-        "wall_seconds": seconds,
-        "real_time_factor": statistics.duration / slam_seconds,
-        "peak_memory_mib": peak_memory(),
-        "truth": None if score is None else score.figures(),
-        "warnings": notices,
-        "skipped": {"messages": report.skipped, "reasons": report.reasons, "first": report.first},
-        "corrected": report.corrected,
-        "interpretations": report.interpretations,
-        "doubts": report.doubts,
-        "slam": finished.summary,
-        "versions": versions(),
-    } | run_input.facts()
+    return (
+        summarise(
+            finished,
+            recording=run_input.name,
+            recording_path=run_input.reopen,
+            scans=statistics.scans,
+            odometry=statistics.odometry,
+            duration=statistics.duration,
+            path_length=path_length(finished, statistics.first, statistics.last),
+            times=times,
+            report=run_input.report,
+            warnings=notices,
+            truth=None if score is None else score.figures(),
+            seed=seed,
+        )
+        | run_input.facts()
+    )
 
 
 def path_length(finished: Finished, first: float, last: float) -> float:

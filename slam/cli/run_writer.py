@@ -23,6 +23,7 @@ from ..io.output_dir import PICTURE, SESSION
 from ..io.run_results import write_results
 from ..io.tum import Trajectory
 from ..memory import return_code_of_imports, return_freed_memory
+from ..reporting.summary import RunTimes
 from .plan_input import report_on_plan
 from .run_input import InputStatistics, RunInput
 from .run_setup import RunSetup
@@ -60,12 +61,13 @@ class RunWriter:
 
     def snapshot(self, slam: Slam) -> Write:
         """Return a function that writes the state of this moment. Raises MapError if there is no map yet."""
-        copy, extended = slam.snapshot(), slam.extends_map
+        copy, extended, mounts = slam.snapshot(), slam.extends_map, slam.lidar_mounts
         took = time.perf_counter() - self.started
 
         def write(place: Path) -> None:
             finished = copy.finished()
-            summary = self._summarise(finished, copy.session, None, took, took, extended) | {"unfinished": True}
+            summary = self._summarise(finished, copy.session, None, RunTimes(took, took), extended, mounts)
+            summary["unfinished"] = True
             self._write(place, finished, summary, _parts(copy.session if extended else None))
 
         return write
@@ -81,7 +83,8 @@ class RunWriter:
         return_code_of_imports()
         score = score_against_truth(finished, self.statistics)
         took = time.perf_counter() - self.started
-        summary = self._summarise(finished, slam.session, score, slam_seconds, took, slam.extends_map)
+        times = RunTimes(slam_seconds, took)
+        summary = self._summarise(finished, slam.session, score, times, slam.extends_map, slam.lidar_mounts)
         summary["review"] = left_out
         on_plan = None if self.setup.plan is None else report_on_plan(self.setup.plan, slam)
         if on_plan is not None:
@@ -101,11 +104,14 @@ class RunWriter:
         finished: Finished,
         session: StoredSession,
         score: ReferenceScore | None,
-        slam_seconds: float,
-        seconds: float,
+        times: RunTimes,
         extended: bool,
+        mounts: Sequence[se2.Pose],
     ) -> dict[str, Any]:
-        """Return the summary; add the recording of this run to the session. `extended`: see `Slam.extends_map`."""
+        """Return the summary; add the recording of this run to the session.
+
+        extended, mounts  `Slam.extends_map` and `Slam.lidar_mounts`
+        """
         summary = summarise_run(
             self.run_input,
             finished,
@@ -113,24 +119,14 @@ class RunWriter:
             self.notices,
             score,
             seed=self.seed,
-            slam_seconds=slam_seconds,
-            seconds=seconds,
+            times=times,
         )
         session.recordings.append(self.statistics.recording(self.run_input))
         recordings = session.recordings if extended else session.recordings[-1:]
         return summary | {
-            "lidars": self.mounts(),
+            "lidars": [mount.tolist() for mount in mounts],
             "recordings": [recording.model_dump() for recording in recordings],
         }
-
-    def mounts(self) -> list[list[float]]:
-        """Return the mount [x, y, heading] of each lidar that was used, by number."""
-        unknown, mounts = np.zeros(3), []
-        for number, recorded in sorted(self.statistics.mounts.items()):
-            configured = self.setup.config.of_lidar(number).mount
-            used = recorded if configured is None else np.array(configured)
-            mounts.append((unknown if used is None else used).tolist())
-        return mounts
 
     def _write(self, place: Path, finished: Finished, summary: dict[str, Any], parts: Mapping[str, Write]) -> None:
         """Write first the dispensable `parts`, given by the warning if they fail, and then the results.

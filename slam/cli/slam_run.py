@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drivers import se2
 from drivers.messages import Message
 from drivers.timing.floor import watched
 
@@ -92,7 +93,7 @@ def run_slam(
             autosave.poll()
 
         if page is not None:
-            sinks += [page.state, log.enter_context(_grid_layer(page, writer, setup.resumed))]
+            sinks += [page.state, log.enter_context(_grid_layer(page, lambda: slam.lidar_mounts, setup.resumed))]
             _let_page_act(page, autosave, modes)
         modes.switched = partial(_show_mode, output, page)
         with run_input.opened(idle) as messages:
@@ -143,11 +144,11 @@ def _start(run_input: RunInput, setup: RunSetup, sinks: Sequence[Sink], *, refin
     )
 
 
-def _grid_layer(page: PageServer, writer: RunWriter, resumed: StoredSession | None) -> GridLayer:
-    """Return the occupancy grid of a run on its page."""
+def _grid_layer(page: PageServer, mounts: Callable[[], Sequence[se2.Pose]], resumed: StoredSession | None) -> GridLayer:
+    """Return the occupancy grid of a run on its page; `mounts` returns those of the lidars."""
     from ..visualisation.live_page import GridLayer
 
-    return GridLayer(page.state, lambda: np.array(writer.mounts() or [[0.0, 0.0, 0.0]])[:, :2], resumed)
+    return GridLayer(page.state, lambda: np.array(mounts() or [np.zeros(3)])[:, :2], resumed)
 
 
 def _let_page_act(page: PageServer, autosave: Autosave, modes: ModeSwitch) -> None:

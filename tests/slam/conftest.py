@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -63,6 +63,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> Iterator[t
         notices = 0
         refined = False
         extends_map = True
+        lidar_mounts: ClassVar[list[np.ndarray]] = []
 
         def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False, **_: object) -> None:
             self.sinks = sinks

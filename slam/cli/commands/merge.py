@@ -91,14 +91,20 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
 
 def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: float) -> dict[str, Any]:
     """Return the summary: entries as of a run, and how each session was located."""
-    from ...io.host import peak_memory, versions
+    from ...reporting.summary import RunTimes, summarise
     from ..run_summary import path_length
 
     session = joined.session
-    duration = sum(recording.last - recording.first for recording in session.recordings)
-    return {
-        "recording": name,
-        "recording_path": None,
+    return summarise(
+        finished,
+        recording=name,
+        recording_path=None,
+        scans=len(session.scans),
+        odometry=sum(len(history) for history in session.odometry),
+        duration=sum(one.last - one.first for one in session.recordings),
+        path_length=sum(path_length(finished, one.first, one.last) for one in session.recordings),
+        times=RunTimes(seconds, seconds),
+    ) | {
         "recordings": [recording.model_dump() for recording in session.recordings],
         "joined": [
             {
@@ -111,25 +117,4 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
             }
             for path, found in joined.added
         ],
-        "seed": None,
-        "scans": len(session.scans),
-        "odometry": sum(len(history) for history in session.odometry),
-        "start": float(finished.stamps[0]),
-        "duration": duration,
-        "keyframes": len(finished.keyframes),
-        "walls": len(finished.walls),
-        "corners": len(finished.corners),
-        "path_length": sum(path_length(finished, one.first, one.last) for one in session.recordings),
-        "slam_seconds": seconds,
-        "wall_seconds": seconds,
-        "real_time_factor": duration / seconds,
-        "peak_memory_mib": peak_memory(),
-        "truth": None,
-        "warnings": [],
-        "skipped": {"messages": 0, "reasons": {}, "first": None},
-        "corrected": {},
-        "interpretations": [],
-        "doubts": [],
-        "slam": finished.summary,
-        "versions": versions(),
     }

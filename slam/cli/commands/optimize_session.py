@@ -74,6 +74,7 @@ def optimize_recording(
     recording: str, config: Config, out: Path, *, overwrite: bool, review: bool, picture: bool
 ) -> list[str]:
     """Map a recording and refine it; otherwise like `optimize_session`."""
+    from ...reporting.summary import RunTimes
     from ..run_summary import summarise_run
 
     with OutputDirectory(out, overwrite) as directory:
@@ -88,7 +89,7 @@ def optimize_recording(
             finished, busy = process_messages(messages, slam, statistics, run_input.name)
         took = time.perf_counter() - started
         summary = summarise_run(
-            run_input, finished, statistics, notices.texts, None, seed=None, slam_seconds=busy, seconds=took
+            run_input, finished, statistics, notices.texts, None, seed=None, times=RunTimes(busy, took)
         )
         session = slam.session
         session.recordings.append(statistics.recording(run_input))
