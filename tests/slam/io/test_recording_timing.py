@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import drivers
 from drivers.devices.device_spec import parse_devices
 from drivers.messages import Message, Scan, Source, delay_odometry, with_reversed_times
-from drivers.recordings import reader
+from drivers.recordings import surveyed_recording
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.reader import RecordingReader
 from drivers.simulation import LIDAR_MODELS
@@ -206,12 +206,12 @@ def test_lidars_have_one_delay_unless_they_clearly_differ(second: Delay | None, 
     assert RecordingTiming(delay=second, used_delay=own).beside(first).used_delay == used
 
 
-@pytest.mark.parametrize(("kept", "readings"), [(reader.MAX_KEPT_BYTES, 1), (0, 2)])
+@pytest.mark.parametrize(("kept", "readings"), [(surveyed_recording.MAX_KEPT_BYTES, 1), (0, 2)])
 def test_a_run_reads_a_recording_once_if_it_is_small(
     monkeypatch: pytest.MonkeyPatch, wrong_recording: Path, kept: int, readings: int
 ) -> None:
     """What has to be known before is found in the messages that are mapped; those of large ones are not kept."""
-    monkeypatch.setattr(reader, "MAX_KEPT_BYTES", kept)
+    monkeypatch.setattr(surveyed_recording, "MAX_KEPT_BYTES", kept)
     ends: list[RecordingReader] = []
     read = RecordingReader._messages
 
