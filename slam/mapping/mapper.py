@@ -29,7 +29,7 @@ from .landmark_ids import assign_landmark_ids
 from .landmarks import Landmarks
 from .local_map import LOCAL_MAP_MARGIN, LocalMap, local_map_around
 from .mapped_keyframes import MappedKeyframes
-from .part_gauge import PartGauge, move_group
+from .part_gauge import PartGauge
 from .read_back import observed_landmarks, read_back_landmarks
 from .unconfirmed_observations import UnconfirmedObservations
 from .waiting_keyframes import WaitingKeyframe, WaitingKeyframes
@@ -263,17 +263,6 @@ class Mapper(MappedKeyframes):
         """Move the last part by a `motion` [x, y, heading] in the map, and join it with that of the keyframe `old`."""
         self.gauge.join(self, old, motion)
         self.landmarks.parts.join(old, self.keyframe_count - 1)
-
-    def join_groups(self, old: int, keyframe: int, motion: se2.Pose) -> None:
-        """Join the groups of two keyframes of a settled map; a `motion` in the map brings the second into its place.
-
-        If the second is in the group of the first keyframe of all, which stays, the other group moves the other way.
-        """
-        if self.landmarks.parts.group(keyframe):
-            move_group(self, keyframe, motion)
-        else:
-            move_group(self, old, se2.inverse(motion))
-        self.landmarks.parts.join(old, keyframe)
 
     # --- correcting the map
 

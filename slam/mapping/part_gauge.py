@@ -106,6 +106,19 @@ class PartGauge:
         _rebuild(mapper, first, np.zeros(3), lambda f: _leads_to(f, first), [prior])
 
 
+def join_groups(mapper: Mapper, old: int, keyframe: int, motion: se2.Pose) -> None:
+    """Join the groups of two keyframes of a settled map; a `motion` in the map brings the second into its place.
+
+    If the second is in the group of the first keyframe of all, which stays, the other group moves the other way.
+    """
+    parts = mapper.landmarks.parts
+    if parts.group(keyframe):
+        move_group(mapper, keyframe, motion)
+    else:
+        move_group(mapper, old, se2.inverse(motion))
+    parts.join(old, keyframe)
+
+
 def move_group(mapper: Mapper, keyframe: int, motion: se2.Pose) -> None:
     """Move the group of a keyframe by a `motion` [x, y, heading] in the map; only odometry connects it with others.
 

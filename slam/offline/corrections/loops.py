@@ -19,7 +19,7 @@ from ...loop_closure.decision import LoopDecision
 from ...loop_closure.look import Look
 from ...loop_closure.loop_status import LoopStatus
 from ...loop_closure.submap_search import REVISIT_GAP, SUBMAP_LENGTH, SubmapMatch
-from ...mapping.part_gauge import motion_to_part, return_to_odometry
+from ...mapping.part_gauge import join_groups, motion_to_part, return_to_odometry
 from ...mapping.pass_separation import Pass, separate_pass
 from ...reporting.run_statistics import loop_row
 from .detours import direct_motions, is_detour, without_detours
@@ -54,7 +54,7 @@ class LoopCorrector:
         decision = self._confirmed(candidate, old, keyframe, look, match)
         if decision.joins:
             recent = mapper.landmarks.parts.connected(mapper.landmarks.walls.rows["last_seen"], keyframe)
-            mapper.join_groups(old, keyframe, decision.correction)
+            join_groups(mapper, old, keyframe, decision.correction)
             state.joins.clear()
         else:
             recent = separate_pass(mapper, self._pass(decision.since, keyframe), self._segments, ties=ties)

@@ -36,7 +36,6 @@ from ...formatting import counted
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
 from ...mapping.map_features import MapCorners, MapWalls
-from . import documents
 from .blueprint import Extent, layout
 from .confidence_layer import log_confidence
 from .decision_steps import DecisionSteps
@@ -48,6 +47,7 @@ from .loop_layer import CorrectionLayer, DecisionLayer
 from .map_layer import MapLayer
 from .path_layer import PathLayer
 from .rrd_writer import FLUSH_PERIOD, PART_SIZE, RrdWriter
+from .run_properties import log_run_properties, log_summary
 from .scan_layer import CELL, ScanLayer
 from .shapes import bounds, largest_sigmas
 from .shown_area import NO_MAP, ShownArea
@@ -81,7 +81,7 @@ class EventLog:
         """
         self._writer = RrdWriter(path, layout(Extent(*NO_MAP)), server, part_size, max_age)
         self._shown_area = ShownArea(self._writer, has_live_viewers=server is not None)
-        self._log_run_properties(config, recording, versions, seed)
+        log_run_properties(self._writer, config, recording, versions, seed)
         self._steps = DecisionSteps(self._writer)
         self._time_series = TimeSeries(self._writer)
         self._map_layer = MapLayer(self._writer)
@@ -170,20 +170,6 @@ class EventLog:
             mapped=self._added > 1,
         )
         self._writer.close()
-
-    def _log_run_properties(self, config: str, recording: str, versions: Mapping[str, str], seed: int | None) -> None:
-        if recording:
-            self._writer.set_name(recording)
-        named = {"recording": recording or None, "seed": seed} | {k.replace("-", "_"): v for k, v in versions.items()}
-        if properties := {name: value for name, value in named.items() if value is not None}:
-            self._writer.set_properties("run", properties)
-        self._writer.log_static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-        self._log_document("legend", documents.legend())
-        self._log_document("config", documents.configuration(config, recording, versions))
-        self._log_document("summary", documents.SUMMARY_PENDING)
-
-    def _log_document(self, entity: str, markdown: str) -> None:
-        self._writer.log_static(entity, rr.TextDocument(markdown, media_type=rr.MediaType.MARKDOWN))
 
     def _log_text(self, text: str, level: str) -> None:
         self._writer.log("log", rr.TextLog(text, level=level))
@@ -315,4 +301,4 @@ class EventLog:
         log_confidence(self._writer, event)
         sizes = (event.keyframes, "keyframe"), (event.walls, "wall"), (event.corners, "corner")
         self._log_text(f"finished: {', '.join(counted(len(rows), noun) for rows, noun in sizes)}", "INFO")
-        self._log_document("summary", documents.summary(event.summary))
+        log_summary(self._writer, event.summary)
