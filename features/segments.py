@@ -1,4 +1,7 @@
-"""Segments: intervals of rays with the normal equations of their lines."""
+"""Segments of rays: intervals of neighbouring rays that one line fits, with the normal equations of that line.
+
+The lines that become of them are `Lines` in the lidar's frame, and in the base's frame `slam.geometry.segments`.
+"""
 
 from __future__ import annotations
 

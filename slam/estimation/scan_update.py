@@ -1,8 +1,9 @@
 """Update the state by one scan: track the pose, then extend trajectory and map.
 
 `track` finds the scan's pose. `update_map` appends it to the trajectory. If the robot has moved far enough, the scan
-becomes a keyframe: its features are associated with landmarks at the pose that these determine, the graph is solved,
-the map around the robot is read back, and loops are searched for.
+becomes a keyframe: its features are associated with landmarks at the pose that these determine, and it is added to the
+graph. Whenever the graph has been solved, after some keyframes, the map around the robot is read back and loops are
+searched for.
 """
 
 from __future__ import annotations
@@ -216,7 +217,7 @@ def _associate(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) 
 
 
 def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResult, timer: StageTimer) -> KeyframeUpdate:
-    """Associate the scan's features, solve the graph, read the map back, and search for a loop."""
+    """Associate a scan's features and add the keyframe; if the graph is solved, read it back and search for a loop."""
     mapper, features = state.mapper, scan.features
     association = _associate(state, scan, tracking)
     timer.lap("association")

@@ -27,10 +27,10 @@ def assign_landmark_ids(
     local_map: LocalMap,
     points: Floats,
 ) -> LandmarkIds:
-    """Record the observations of a keyframe at `pose` and return the landmark ids of its features.
+    """Record in `landmarks` what a keyframe at `pose` has seen, and return the landmark ids of its features.
 
-    Matched features observe their landmark, unmatched ones become new landmarks, ambiguous ones get the id -1.
-    `points` (p, 2) are those of the scan, in its frame.
+    A matched feature is an observation of its landmark, an unmatched one becomes a new landmark, and an ambiguous one
+    gets the id -1. `points` (p, 2) are those of the scan, in its frame.
     """
     walls = _assign_walls(landmarks, keyframe, pose, segments, association, local_map, points)
     return LandmarkIds(walls, _assign_corners(landmarks, keyframe, pose, corners, walls, association, local_map))

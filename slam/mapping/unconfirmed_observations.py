@@ -26,8 +26,11 @@ CONFIRMING_KEYFRAMES = 2
 
 
 class UnconfirmedObservations:
-    """Buffer of observations, by landmark id: for walls keyframe, frame (3,), covariance of offset and heading, and
-    their slope with the range bias; for corners keyframe, position (2,), covariance and slope."""
+    """Observations by landmark id.
+
+    Of a wall these are keyframe, frame (3,), covariance (2, 2) of offset and heading, and how both change per metre of
+    range bias; of a corner keyframe, position (2,), its covariance (2, 2), and how it changes per metre of range bias.
+    """
 
     def __init__(self) -> None:
         self._walls: dict[int, list[tuple[int, se2.Pose, Floats, Floats]]] = defaultdict(list)

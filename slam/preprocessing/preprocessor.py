@@ -135,7 +135,7 @@ class Preprocessor:
     def process(
         self, pair: ScanPair, odometry_model: OdometryModel, velocity: VelocityFilter | None = None
     ) -> ProcessedScan:
-        """De-skew a scan and extract its segments, corners and the points on neither.
+        """De-skew a scan and extract its segments, its corners and its points, also those on segments.
 
         Those of a second lidar's scan are added, moved to the stamp of the first. Stamps may be coarser than the scans
         are frequent: a scan with the stamp of the one before gets a stamp that is SAME_STAMP later.

@@ -277,7 +277,7 @@ def test_the_report_command_writes_the_page_of_an_older_session(wclm: Any, fake_
     assert Path("a.html").read_text() == written
     write_json(Path("out/summary.json"), {"recording": "a"})
     wclm.refuses(
-        "report", "out", "--overwrite", because=["out/summary.json: is not the summary of a run: 'path_length'"]
+        "report", "out", "--overwrite", because=["out/summary.json: has no path_length, which every run writes"]
     )
     assert Path("out/report.html").read_text() == written
 
