@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from drivers import se2
+from drivers.elapsed import elapsed
 
 from ...errors import MapError
 from ...graph.factors import Factor, FactorKind
@@ -202,7 +203,12 @@ class LoopCorrector:
             return place.keyframe
         gaps = np.abs(stamps - place.stamp)
         if gaps.min() > MAX_TIME_DIFFERENCE:
-            raise MapError(f"{place.text}: there is no keyframe within {MAX_TIME_DIFFERENCE:.0f} s of that stamp")
+            assert place.stamp is not None
+            since, nearest = elapsed(round(place.stamp - stamps[0])), int(gaps.argmin())
+            raise MapError(
+                f"{place.text}: there is no keyframe within {MAX_TIME_DIFFERENCE:.0f} s of that stamp, {since} after "
+                f"the first one; the nearest is keyframe {nearest}, {gaps[nearest]:.0f} s away"
+            )
         return int(gaps.argmin())
 
     def _closed_before(self, keyframe: int) -> int:

@@ -224,7 +224,13 @@ def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_p
     wclm.refuses("correct", session, "--close", "0,4000", because=["no keyframe 4000"])
     wclm.refuses("correct", session, "--close", "1s,4000s", because=["4000 s: there is no keyframe"])
     wclm.refuses("correct", session, "--close", "1s,nans", because=["--close", "stamps as"])
-    wclm.refuses("correct", session, "--close", "0:01,90:00", because=["5400 s: there is no keyframe"])
+    wclm.refuses(
+        "correct",
+        session,
+        "--close",
+        "0:01,90:00",
+        because=["5400 s: there is no keyframe", "1:30:00 after the first one; the nearest is keyframe "],
+    )
     wclm.refuses("correct", session, "--close", "0:01,0:x", because=["--close", "times as 0:08"])
     wclm.refuses("correct", session, "--close", "0,1,2", because=["--close", "two keyframes"])
     wclm.refuses(
