@@ -196,6 +196,10 @@ class Config(Settings):
         """Return the properties of a lidar by its number, `Scan.lidar`."""
         return self.second_lidar if number else self.lidar
 
+    def without_odometry(self) -> Config:
+        """Return these settings for mapping by the scans alone."""
+        return self.model_copy(update={"odometry": self.odometry.model_copy(update={"source": "none"})})
+
     @property
     def second_lidar_delay(self) -> float:
         """Seconds by which the second lidar's stamps are later than the first's; zero if its delay is not set."""

@@ -23,7 +23,7 @@ from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
 from .io.recording_timing import timed
-from .io.recordings import absolute_recording, open_source, reason_without_odometry
+from .io.recordings import absolute_recording, open_to_map
 from .io.run_results import RunResults
 from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
@@ -197,9 +197,8 @@ def run(
     Raises SlamError, with one line that names the place, if the recording cannot be read or mapped.
     """
     config = config or Config()
-    source = open_source(recording, config)
-    if reason_without_odometry(source) is not None:
-        config = config.model_copy(update={"odometry": config.odometry.model_copy(update={"source": "none"})})
+    source, reason = open_to_map(recording, config)
+    config = config if reason is None else config.without_odometry()
     slam = Slam(timed(source, config)[0], sinks, refine=refine)
     odometry: list[se2.Pose] = []
     truth: list[GroundTruth] = []

@@ -85,5 +85,4 @@ def prepare_run(
 def without_odometry(start: RunSetup, reason: str) -> RunSetup:
     """Return a setup that maps by the scans alone, and print so; `reason` is why."""
     print_message(f"{reason}: motions are predicted at constant velocity and corrected by the scans")
-    odometry = start.config.odometry.model_copy(update={"source": "none"})
-    return replace(start, config=start.config.model_copy(update={"odometry": odometry}))
+    return replace(start, config=start.config.without_odometry())

@@ -26,11 +26,16 @@ def absolute_recording(recording: str) -> str:
     return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
 
 
-def check_scans(source: Source) -> None:
-    """Raise RecordingError if a recording has no scan, or cannot be read."""
+def open_to_map(recording: str | Path, config: Config) -> tuple[Source, str | None]:
+    """Open a recording that is to be mapped; return also why it is mapped by the scans alone, as text, if it is.
+
+    Raises RecordingError if it cannot be read or has no scans that can be used, and errors of `open_source`.
+    """
+    source = open_source(recording, config)
     reader = recording_of(source)
     if reader is not None:
         reader.check_scans()
+    return source, None if config.odometry.source == "none" else reason_without_odometry(source)
 
 
 def reason_without_odometry(source: Source) -> str | None:

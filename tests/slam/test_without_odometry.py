@@ -15,12 +15,14 @@ from drivers.simulation import Simulation
 from drivers.simulation.lidar_model import LidarModel
 from slam import Config, Slam
 from slam.cli.app import app
+from slam.cli.commands.batch_worker import map_job
 from slam.config import OdometryConfig, config_to_toml
 from slam.evaluation.metrics import score_reference
 from slam.events import Finished
-from slam.io.output_dir import CONFIG
+from slam.io.output_dir import CONFIG, TRAJECTORY
 from slam.io.sessions import read_session, write_session
 from slam.io.tum import Trajectory
+from slam.offline.batch import JobOptions, Status, make_jobs
 
 WITHOUT_ODOMETRY = Config(odometry=OdometryConfig(source="none"))
 
@@ -70,6 +72,14 @@ def test_a_recording_without_odometry_is_mapped_and_says_so(drive: list[Message]
     ran = CliRunner().invoke(app, ["run", str(recording), "--out", str(tmp_path / "map"), "--no-review"])
     assert ran.exit_code == 0, ran.output
     assert "scans.mcap: no odometry in it" in " ".join(ran.output.split())
+    (job,) = make_jobs([str(recording)], tmp_path / "batch", JobOptions(Config(), review=False))
+    row = map_job(job)
+    assert row.status is Status.DONE, row.error
+    assert (job.directory / TRAJECTORY).read_bytes() == (tmp_path / "map" / TRAJECTORY).read_bytes()
+    assert "scans.mcap: no odometry in it" in job.log.read_text()
+    refined = CliRunner().invoke(app, ["optimize", str(recording), "--out", str(tmp_path / "fine"), "--no-review"])
+    assert refined.exit_code == 0, refined.output
+    assert "scans.mcap: no odometry in it" in " ".join(refined.output.split())
     again = ["run", "sim:room?duration=4", "--continue", str(tmp_path / "map"), "--out", str(tmp_path / "more")]
     ran = CliRunner().invoke(app, [*again, "--no-review"])
     assert ran.exit_code == 0, ran.output

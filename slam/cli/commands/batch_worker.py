@@ -14,11 +14,11 @@ from typing import Any, TextIO
 
 from drivers.errors import SlamError
 
-from ...io.recordings import open_source
+from ...io.recordings import open_to_map
 from ...offline.batch import Job, Row, Status, fingerprint, make_row, read_completed_summary, remove_leftovers
 from ...offline.batch.jobs import FINGERPRINT
 from ..run_input import RecordingInput
-from ..run_setup import RunSetup
+from ..run_setup import RunSetup, without_odometry
 from ..run_summary import format_summary
 from ..slam_run import run_slam
 
@@ -50,13 +50,18 @@ def map_job(job: Job) -> Row:
 
 
 class _FingerprintedInput(RecordingInput):
-    """A recording whose summary contains the fingerprint of the job."""
+    """A recording whose summary contains the fingerprint of the job.
+
+    setup  of the run
+    """
 
     def __init__(self, job: Job) -> None:
-        super().__init__(open_source(job.recording, job.options.config), reopen=job.recording)
-        self._facts = {
-            FINGERPRINT: fingerprint(job)
-        }  # before reading, so that a change meanwhile is detected next time
+        self._facts = {FINGERPRINT: fingerprint(job)}  # before reading: a change meanwhile is detected next time
+        source, reason = open_to_map(job.recording, job.options.config)
+        super().__init__(source, reopen=job.recording)
+        self.setup = RunSetup(job.options.config)
+        if reason is not None:
+            self.setup = without_odometry(self.setup, f"{source.name}: {reason}")
 
     def facts(self) -> dict[str, Any]:
         return super().facts() | self._facts
@@ -65,9 +70,10 @@ class _FingerprintedInput(RecordingInput):
 def _map(job: Job, log: TextIO) -> dict[str, Any]:
     _reset_peak_memory()
     options = job.options
+    run_input = _FingerprintedInput(job)
     result = run_slam(
-        _FingerprintedInput(job),
-        RunSetup(options.config),
+        run_input,
+        run_input.setup,
         job.directory,
         overwrite=True,
         review=options.review,

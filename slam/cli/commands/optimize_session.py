@@ -12,13 +12,13 @@ from ...errors import MapError
 from ...formatting import counted
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, OutputDirectory
-from ...io.recordings import absolute_recording, open_source
+from ...io.recordings import absolute_recording, open_to_map
 from ...io.run_results import write_results
 from ..compilation import compile_for_recording
 from ..console import print_if_slow
 from ..notice_collector import NoticeCollector
 from ..run_input import InputStatistics, RecordingInput
-from ..run_setup import READING_SESSION
+from ..run_setup import READING_SESSION, RunSetup, without_odometry
 from ..run_summary import RunResult, check_summary, format_summary
 from ..slam_run import process_messages, review_log, write_report_page
 
@@ -81,11 +81,13 @@ def optimize_recording(
         from ...pipeline import Slam
 
         compile_for_recording()
-        run_input = RecordingInput(open_source(recording, config), reopen=absolute_recording(recording))
+        source, reason = open_to_map(recording, config)
+        setup = RunSetup(config) if reason is None else without_odometry(RunSetup(config), f"{source.name}: {reason}")
+        run_input = RecordingInput(source, reopen=absolute_recording(recording))
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
         with run_input.opened(lambda: None) as messages:
-            slam = Slam(run_input.resolve(config), [notices], keep_all_features=True)
+            slam = Slam(run_input.resolve(setup.config), [notices], keep_all_features=True)
             finished, busy = process_messages(messages, slam, statistics, run_input.name)
         took = time.perf_counter() - started
         summary = summarise_run(

@@ -46,7 +46,7 @@ def run(
 
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
-    from ...io.recordings import absolute_recording, check_scans, open_source, reason_without_odometry
+    from ...io.recordings import absolute_recording, open_to_map
     from ...memory import return_freed_memory
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
@@ -57,11 +57,10 @@ def run(
     start = prepare_run(
         continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())
     )
-    source = open_source(recording, start.config)
-    check_scans(source)
+    source, reason = open_to_map(recording, start.config.without_odometry() if no_odometry else start.config)
     if no_odometry:
         start = without_odometry(start, "--no-odometry")
-    elif start.config.odometry.source != "none" and (reason := reason_without_odometry(source)) is not None:
+    elif reason is not None:
         start = without_odometry(start, f"{source.name}: {reason}")
     run_input = RecordingInput(source, reopen=absolute_recording(recording))
     result = run_slam(run_input, start, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
