@@ -186,6 +186,7 @@ class Slam:
         if continued and self._motions.jump is None:
             return
         self._process_queue(sum(not scan.lidar for scan in earlier.queued_scans))
+        self._journal.begin_run()
         if continued:  # the wheels were not read for a while, and the robot may have driven
             self._estimator.doubt_place(first.pose)
         else:
@@ -374,7 +375,8 @@ class Slam:
         """True if nothing of this run is in a place that is known to be in the map of the earlier session."""
         if self._stored.earlier is None:
             return False
-        return is_unknown_place(self._estimator, self._journal, frozen=not self._extends_map)
+        anywhere = self._statistics.started_anywhere
+        return is_unknown_place(self._estimator, self._journal, frozen=not self._extends_map, anywhere=anywhere)
 
     def _leave_out_unknown_session(self) -> None:
         """Map this run alone if it was never recognised in the map of the earlier session.

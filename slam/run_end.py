@@ -20,16 +20,19 @@ from .reporting.results import publish_results
 from .reporting.run_statistics import RunStatistics
 
 
-def is_unknown_place(estimator: Estimator, journal: Journal, *, frozen: bool) -> bool:
+def is_unknown_place(estimator: Estimator, journal: Journal, *, frozen: bool, anywhere: bool) -> bool:
     """Return True if nothing of a run is in a place that is known to be in the map of the session that it continues.
 
-    frozen  true if that map is kept unchanged
+    If its odometry goes on from that of the session, what is mapped is kept beside that map.
+
+    frozen    true if that map is kept unchanged
+    anywhere  true if the run began at an unknown pose in it
     """
     state, parts = estimator.result, estimator.state.mapper.landmarks.parts
+    if frozen:
+        return anywhere and not journal.any_tracked(state.trajectory)
     if not journal.in_new_odometry_segment:
         return False
-    if frozen:
-        return not journal.any_tracked(state.trajectory)
     keyframes = np.flatnonzero(np.array(state.keyframe_stamps) > journal.stamp_before)
     if not len(keyframes):  # placed in the map, and only in familiar places since
         return not journal.any_tracked(state.trajectory)

@@ -128,9 +128,12 @@ class Journal:
         begin, _ = self._localised.pop()
         self._localised.append((begin, len(self.scans) - UNDECIDED_SCANS))
 
-    def start_odometry_segment(self) -> OdometryHistory:
-        """Start a new odometry segment with the next scan, which is the first one of this run."""
+    def begin_run(self) -> None:
+        """Take the next scan as the first one of this run: those before were queued in the earlier session."""
         self.first_row = len(self.scans)
+
+    def start_odometry_segment(self) -> OdometryHistory:
+        """Start a new odometry segment with the next scan."""
         return self.segments.begin(len(self.scans))
 
     def drop_earlier_session(self) -> None:
