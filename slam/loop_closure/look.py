@@ -103,11 +103,12 @@ class Look:
         number = np.floor(self._travelled[old] / SUBMAP_INTERVAL)
         self._old = old[np.flatnonzero(np.diff(number, prepend=-1.0))]  # keyframes in the middle of old submaps
         self._submap: Submap | None = None
+        self._deviations: dict[tuple[int, int], float] = {}  # metres, by the keyframes of earlier matches
 
     def doubting_estimate(self) -> Look:
         """Return the same look, for which the errors of the estimate may be correlated along the drive."""
         other = copy(self)
-        other.uncertainty = RelativeUncertainty(self._mapper, self.last, doubted=True)
+        other.uncertainty, other._deviations = RelativeUncertainty(self._mapper, self.last, doubted=True), {}
         return other
 
     def at_distance(self, travelled: float) -> Look | None:
@@ -220,6 +221,19 @@ class Look:
         """Return the points (n, 2) of the submap and those (m, 2) of an old place's, both in the map, metres."""
         recent = se2.transform(self.pose, self.submap.points[:, :2])
         return recent, se2.transform(self._mapper.keyframe_poses[old], self.old_submap(old).points[:, :2])
+
+    def deviation_at(self, match: LoopMatch) -> float:
+        """Return the largest standard deviation (metres) that the estimate has of the position of a match.
+
+        match  of this look, or of an earlier one
+        """
+        if match.keyframe == self.last:
+            return self.uncertainty.deviation(match.old)
+        place = match.keyframe, match.old
+        if place not in self._deviations:
+            uncertainty = RelativeUncertainty(self._mapper, match.keyframe, doubted=self.uncertainty.doubted)
+            self._deviations[place] = uncertainty.deviation(match.old)
+        return self._deviations[place]
 
     def keyframe_at(self, travelled: float) -> int:
         """Return the first keyframe from a distance driven (metres) on."""

@@ -68,6 +68,8 @@ class StubMap:
     """What the search needs of a `Mapper`: estimated poses, distances driven and covariances."""
 
     covariance: Floats
+    growth: float = 0.0
+    """Share by which the standard deviations grow with each metre that was driven since the first keyframe."""
     keyframe_poses: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     travelled: list[float] = field(default_factory=list)
     landmarks: Landmarks = field(default_factory=Landmarks)
@@ -91,10 +93,10 @@ class StubMap:
         return self.covariance
 
     def relative_to_all(self, old: list[int], keyframe: int) -> list[Floats]:
-        return [self.covariance] * len(old)
+        return [self.relative_bound(one, keyframe) for one in old]
 
     def relative_bound(self, old: int, keyframe: int) -> Floats:
-        return self.covariance
+        return np.asarray(self.covariance * (1.0 + self.growth * self.travelled[keyframe]) ** 2)
 
 
 def drive_twice(
@@ -108,6 +110,7 @@ def drive_twice(
     begin: float = 1.0,
     end: float = 15.0,
     sigmas: Floats = SIGMAS,
+    growth: float = 0.0,
 ) -> tuple[list[LoopDecision], LocalField, LoopAgreement]:
     """Drive through the room, and after LENGTH metres again, with a drift of the estimate.
 
@@ -116,7 +119,7 @@ def drive_twice(
     and joins of both parts of the map are searched for. Returns what was accepted, and the search.
     """
     agreement, local_field = LoopAgreement(joins=apart), LocalField()
-    state = StubMap(np.diag(sigmas**2))
+    state = StubMap(np.diag(sigmas**2), growth)
     random, found = np.random.default_rng(0), []
     for lap, moved in enumerate([np.zeros(3), se2.compose(elsewhere, drift)]):
         if apart and lap:
@@ -173,6 +176,19 @@ def test_drift_beyond_the_uncertainty_of_the_estimate_is_corrected_if_correlated
     (span,) = [check for check in accepted.checks if check.name == "span"]
     assert span.value >= span.gate >= SUBMAP_LENGTH
     assert drive_twice(np.array([0.1, 2.5, 0.0]), np.zeros(3), sigmas=certain, **hall)[0] == []
+
+
+def test_looks_need_not_extend_over_the_uncertainty_that_is_added_after_the_first_one() -> None:
+    """Three standard deviations of the last look grow with the drive, and are longer than it at each look."""
+    hall = {"room": HALL, "until": 35.0, "end": 35.0}
+    small = np.array([0.05, 0.05, 0.001])
+    found, _, _ = drive_twice(np.array([0.3, 0.7, 0.01]), np.zeros(3), sigmas=small, growth=2.6, **hall)
+    assert found
+    (span,) = [check for check in found[0].checks if check.name == "span"]
+    first, last = found[0].matches[0], found[0].matches[-1]
+    at_first, at_last = (NORMAL_LIMIT * 0.05 * (1.0 + 2.6 * match.travelled) for match in (first, last))
+    assert at_first < span.value < at_last
+    assert span.gate == pytest.approx(at_first, rel=0.1)
 
 
 def test_looks_before_the_one_that_proposes_a_loop_count_if_they_see_the_place() -> None:
