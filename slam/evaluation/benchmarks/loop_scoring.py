@@ -20,6 +20,7 @@ from ...events import (
     ScanTracked,
     WallsMerged,
 )
+from ...loop_closure.loop_status import LoopStatus
 from ...mapping.map_features import MapWalls
 from ..ground_truth import match_walls, true_walls
 from ..metrics import align, motion_errors
@@ -115,7 +116,9 @@ class LoopScorer:
     def _score_decision(self, event: LoopDecided) -> None:
         for old, recent in event.merged:
             self._merged_into[recent] = old
-        there = se2.compose(self._tracked, event.motion)
+        # A rejection is published when the robot has gone on.
+        rejected = event.status == LoopStatus.REJECTED
+        there = se2.compose(self._estimate[event.index] if rejected else self._tracked, event.motion)
         error, angle_error = self._motion_error(event.old, event.index, there)
         self.decisions.append(ScoredDecision(event.index, event.status, event.reason, error, angle_error))
 

@@ -81,6 +81,12 @@ def test_needed_loop_is_closed_at_the_right_place(logged: Logged) -> None:
     assert max(decided.angle_error for decided in accepted) < MAX_ANGLE_ERROR
 
 
+def test_a_late_rejection_is_scored_by_the_pose_that_it_is_about(logged: Logged) -> None:
+    rejected = [decided for decided in logged.scorer.decisions if decided.status == LoopStatus.REJECTED]
+    assert rejected  # at the end of the drive, for the motion of the closure that was retracted
+    assert max(decided.error for decided in rejected) < MAX_ERROR
+
+
 def test_every_decision_is_a_row_with_its_scores_and_gates(logged: Logged) -> None:
     decided, found = decisions(logged), logged.rows("/loops/decisions")
     assert len(found) == len(decided)
