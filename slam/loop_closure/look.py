@@ -235,6 +235,10 @@ class Look:
             self._deviations[place] = uncertainty.deviation(match.old)
         return self._deviations[place]
 
+    def way_shown_before(self, match: LoopMatch) -> float:
+        """Return the metres of driving before a match that its submap shows, in this part of the map."""
+        return min(SUBMAP_LENGTH, match.travelled - float(self._travelled[self.first_of_part]))
+
     def keyframe_at(self, travelled: float) -> int:
         """Return the first keyframe from a distance driven (metres) on."""
         return int(np.searchsorted(self._travelled, travelled))
