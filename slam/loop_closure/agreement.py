@@ -35,10 +35,11 @@ from .criteria import MIN_INDEPENDENT, MIN_KNOWN, differ, fits, is_determined
 from .decision import LoopDecision, LoopMatch
 from .followed_hypotheses import MEMORY, FollowedHypotheses
 from .judgement import Judgement
-from .look import SEARCH_INTERVAL, Look, Submaps
+from .look import SEARCH_INTERVAL, Look
 from .loop_hypothesis import LoopAgreementState
 from .rejection import MIN_REPORTED_SUPPORT, rejected
 from .returns import Return
+from .submaps import Submaps
 from .votes import (
     Search,
     Vote,

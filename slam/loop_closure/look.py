@@ -5,7 +5,7 @@ The old places are those where the robot may be by the uncertainty of the estima
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
@@ -21,7 +21,8 @@ from ..matching.distance_field import FIELD_HALF_WIDTH
 from .decision import LoopMatch
 from .loop_hypothesis import OldPlace
 from .relative_uncertainty import MAX_SQUARED_DISTANCE, SEARCH_DEVIATIONS, UNMODELLED_SIGMAS, RelativeUncertainty
-from .submap_search import REVISIT_GAP, SUBMAP_LENGTH, Submap, SubmapMatch, build_submap, improve, search_submap
+from .submap_search import REVISIT_GAP, SUBMAP_LENGTH, Submap, SubmapMatch, improve, search_submap
+from .submaps import Submaps, build_place
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = SUBMAP_LENGTH / 3.0
@@ -30,39 +31,6 @@ SUBMAP_INTERVAL = SUBMAP_LENGTH / 2.0
 # Metres around an old place within which the robot is searched if the estimate is in doubt: it may be beside the
 # path of earlier passes. Origin: chosen, for time, as the width of a road; not measured.
 DOUBTED_REACH = 2.0 * REFERENCE_DISTANCE
-# Submaps of old places that are kept. Origin: measured on four recordings: each has 1.3 MB, and with twice as many, at
-# most a fifth to a third fewer are built.
-MAX_SUBMAPS = 6
-
-
-class Submaps:
-    """Submaps of the old places that were searched last, by the keyframe in their middle."""
-
-    def __init__(self, places: Sequence[tuple[int, OldPlace]] = (), local_field: LocalField | None = None) -> None:
-        """Build the submaps of saved `places`; `local_field` has the points of all keyframes."""
-        self._submaps: dict[int, tuple[OldPlace, Submap]] = {}
-        if local_field is not None:
-            self._submaps = {centre: (place, _build(place, local_field)) for centre, place in places}
-
-    def copy(self) -> Submaps:
-        """Return an independent copy; submaps are never changed and are shared."""
-        other = Submaps()
-        other._submaps = dict(self._submaps)
-        return other
-
-    @property
-    def places(self) -> list[tuple[int, OldPlace]]:
-        """Places to be saved."""
-        return [(centre, place) for centre, (place, _) in self._submaps.items()]
-
-    def get(self, keyframe: int, place_around: Callable[[int], OldPlace], local_field: LocalField) -> Submap:
-        """Return the submap around a keyframe; it is built from `place_around` if it is not kept."""
-        if (kept := self._submaps.pop(keyframe, None)) is None:
-            place = place_around(keyframe)
-            self._submaps = dict([*self._submaps.items()][1 - MAX_SUBMAPS :])
-            kept = place, _build(place, local_field)
-        self._submaps[keyframe] = kept  # the last one now
-        return kept[1]
 
 
 class Look:
@@ -131,7 +99,7 @@ class Look:
         if self._submap is None:
             recent = self._ways > self._ways[self.last] - SUBMAP_LENGTH
             recent[self.last + 1 :] = False
-            self._submap = _build(self._place(np.flatnonzero(recent), self.last), self._field)
+            self._submap = build_place(self._place(np.flatnonzero(recent), self.last), self._field)
         return self._submap
 
     def old_submap(self, old: int) -> Submap:
@@ -309,11 +277,6 @@ class Look:
     def loop_match(self, old: int, match: SubmapMatch) -> LoopMatch:
         """Return a match as one that a loop can be closed with."""
         return LoopMatch(self.last, old, match.pose, match.covariance, self.travelled, match.fit, match.known)
-
-
-def _build(place: OldPlace, local_field: LocalField) -> Submap:
-    """Build the submap of a place."""
-    return build_submap(place.poses, local_field.points_of(place.keyframes), FIELD_HALF_WIDTH)
 
 
 def _position_sigmas(covariances: Floats) -> Floats:

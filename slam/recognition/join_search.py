@@ -23,8 +23,9 @@ from ..localisation.local_field import LocalField
 from ..loop_closure.agreement import LoopAgreement
 from ..loop_closure.criteria import confirm, differ
 from ..loop_closure.decision import Check, LoopDecision, LoopMatch
-from ..loop_closure.look import Look, Submaps
+from ..loop_closure.look import Look
 from ..loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
+from ..loop_closure.submaps import Submaps
 from ..mapping.mapper import Mapper
 from .drive_scans import DriveScans
 from .location import LOST, Expectation, Location, PlacedSubmap, locate

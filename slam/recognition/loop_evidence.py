@@ -19,9 +19,10 @@ from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
 from ..loop_closure.criteria import differ
 from ..loop_closure.decision import LoopDecision
-from ..loop_closure.look import Look, Submaps
+from ..loop_closure.look import Look
 from ..loop_closure.loop_status import LoopStatus
 from ..loop_closure.submap_search import SUBMAP_LENGTH
+from ..loop_closure.submaps import Submaps
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
 from .drive_scans import DriveScans

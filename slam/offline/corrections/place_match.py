@@ -11,8 +11,9 @@ from ...estimation.slam_state import SlamState
 from ...formatting import percent
 from ...localisation.local_field import REFERENCE_DISTANCE
 from ...loop_closure.criteria import MIN_KNOWN, is_determined
-from ...loop_closure.look import Look, Submaps
+from ...loop_closure.look import Look
 from ...loop_closure.submap_search import REVISIT_GAP, SubmapMatch, search_submap
+from ...loop_closure.submaps import Submaps
 from ...loop_closure.votes import RIVAL_QUALITY
 
 MIN_PLACE_FIT = 0.75

@@ -16,11 +16,12 @@ from slam.loop_closure import look_back
 from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT
 from slam.loop_closure.decision import LoopDecision, LoopMatch
-from slam.loop_closure.look import Look, Submaps
+from slam.loop_closure.look import Look
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.returns import summarise
 from slam.loop_closure.submap_search import REVISIT_GAP, SUBMAP_LENGTH, SubmapMatch
+from slam.loop_closure.submaps import Submaps
 from slam.loop_closure.votes import Vote, Votes, vote_in_view
 from slam.mapping.landmarks import Landmarks
 from slam.matching.scan_features import ScanFeatures
