@@ -11,6 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
+import numpy as np
+
 from drivers import se2
 from features.normal_limits import NORMAL_LIMIT
 
@@ -26,10 +28,12 @@ from ..matching.point_matcher import (
     SEARCH_FIT,
     PointMatch,
     Prediction,
+    match_from,
     match_points,
     point_cost,
 )
 from ..matching.scan_features import ScanFeatures
+from .prediction_error import PREDICTION_SIGMAS
 
 # Evidence (nats) from which on points contradict a prediction. Origin: definition, that of a difference of NORMAL_LIMIT
 # standard deviations.
@@ -136,6 +140,18 @@ class MatchTarget:
         """Return True if points (p, 6) that fit at a pose contradict a prediction, which may lead to another one."""
         near = _in_reach(match_points(self.field, points, [prediction])[0])
         return self._evidence(points, near.pose, pose) >= MIN_EVIDENCE
+
+    def compare(self, points: Floats, prediction: Prediction, pose: se2.Pose) -> tuple[PointMatch | None, float]:
+        """Return the match of points (p, 6) near a prediction, and the evidence (nats) for it against a pose.
+
+        If the match leads to that pose, it is None, and the evidence is that for the predicted pose. Only the last
+        metres count, if anything was mapped there: an older map may have been made at another pose.
+        """
+        target = self if self.recent is None else replace(self, field=self.recent())
+        match = match_from(target.field, points, prediction.pose, prediction)
+        if np.all(np.abs(se2.between(match.pose, pose)) < PREDICTION_SIGMAS):
+            return None, target._evidence(points, pose, prediction.pose)
+        return match, target._evidence(points, pose, match.pose)
 
     def _evidence(self, points: Floats, pose: se2.Pose, other: se2.Pose) -> float:
         """Return the evidence (nats) of points (p, 6) against a pose and for another one.

@@ -73,6 +73,11 @@ class OdometryComparison:
         """Take odometry as failing, as its readings have stopped."""
         self.contradicted_for = max(self.contradicted_for, STEADY_SECONDS)
 
+    def add_slip(self, seconds: float) -> None:
+        """Count the time (seconds) of a slip that the scans have shown, and compare from the next fix on."""
+        self.contradicted_for += seconds
+        self.restart()
+
     def restart(self) -> None:
         """Compare from the next fix on: the motion up to there is not known."""
         self._start = None

@@ -4,72 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
 from features.normal_limits import NORMAL_LIMIT
 
-from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction
+from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction, information_of
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
 from ..odometry.measurement_clock import MIN_PERIOD, MeasurementClock
 from ..odometry.velocity import MAX_VELOCITIES, STEADY_SECONDS, VelocityFilter
+from .followed_motion import Compare, FollowedMotion
+from .match_target import MIN_EVIDENCE
 from .odometry_comparison import ComparedFix, OdometryComparison
 from .prediction_error import PREDICTION_SIGMAS, PredictionError
+from .predictions import Predictions, TentativePose
 from .slip_statistics import SlipStatistics
 from .small_objects import SmallObjects
 from .tracking import CONDITIONING, PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MAX_TRAVEL
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Predictions:
-    """Predictions of the pose at the next scan, one of which holds.
-
-    usual           by odometry; without it, and while it is failing, that of an even motion
-    slip            if odometry has slipped since the last scan, or the motion is not even; None if neither is possible
-    caught_up       if odometry has caught up after a recent slip; None without one
-    from_tentative  from the tentative pose of the last scan, by odometry and by an even motion; empty without one
-    evidence        (nats) of tentative scans against the usual one, see `MatchTarget.match`
-    """
-
-    usual: Prediction
-    slip: Prediction | None = None
-    caught_up: Prediction | None = None
-    from_tentative: tuple[Prediction, ...] = ()
-    evidence: float = 0.0
-
-    @property
-    def all(self) -> list[Prediction]:
-        """All predictions, the usual one first."""
-        others = (self.slip, self.caught_up, *self.from_tentative)
-        return [self.usual, *(prediction for prediction in others if prediction is not None)]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Alternative:
-    """Pose where a scan fits odometry too, and by how much it costs more there than at its best pose."""
-
-    pose: se2.Pose
-    additional_cost: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TentativePose:
-    """Pose of a scan that is TENTATIVE, on which the next scan decides.
-
-    fix          pose by which odometry has slipped
-    alternative  pose by which it has not; None if the scan does not fit there
-    evidence     (nats) for a slip, of this scan and of the tentative ones before it
-    """
-
-    fix: PoseFix
-    alternative: Alternative | None
-    evidence: float
 
 
 class PosePredictor:
@@ -94,6 +50,7 @@ class PosePredictor:
         self._clock, self._velocity = MeasurementClock(), VelocityFilter()
         self._prediction_error, self._slips = PredictionError(), SlipStatistics()
         self._comparison = OdometryComparison()
+        self._followed: FollowedMotion | None = None  # None before the next fix
 
     @property
     def fix(self) -> PoseFix | None:
@@ -133,7 +90,7 @@ class PosePredictor:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
-        self._tentative = self._before_slip = self._odometry_after_gap = None
+        self._tentative = self._before_slip = self._odometry_after_gap = self._followed = None
         self._comparison.restart()
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
@@ -165,6 +122,7 @@ class PosePredictor:
         """Replace the pose of the last fix, and predict from it from now on."""
         assert self._fix is not None
         self._comparison.follow(se2.between(self._fix.pose, pose), self._fix)
+        self._followed = None if self._followed is None else self._followed.moved(self._fix.pose, pose)
         self._fix = self._reference = PoseFix(pose, self._fix.odometry)
 
     def state(self, small_objects: SmallObjects, last_score: float) -> TrackerState | None:
@@ -185,6 +143,7 @@ class PosePredictor:
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
         self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
         self._slips, self._comparison = replace(state.slips), OdometryComparison(state.contradicted_for)
+        self._followed = None
 
     def extrapolate(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
@@ -200,6 +159,7 @@ class PosePredictor:
         self._interval = interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
+        followed = self._followed = None if self._followed is None else self._followed.after(interval)
         caught_up: Prediction | None = None
         from_tentative: tuple[Prediction, ...] = ()
         self._since_slip += interval
@@ -210,10 +170,17 @@ class PosePredictor:
                 # Both hypotheses are followed from where the last scan fits them.
                 start = PoseFix(other.pose, tentative.fix.odometry)
                 usual = self._by_odometry(start, odometry, usual.inertia, other.additional_cost)
-            even = self._even_motion(tentative.fix.pose, interval)
-            from_tentative = (self._by_odometry(tentative.fix, odometry, even), even)
+            if tentative.followed is None:
+                even = self._even_motion(tentative.fix.pose, interval)
+                from_tentative = (self._by_odometry(tentative.fix, odometry, even), even)
+            else:  # odometry has slipped for too long to be right already
+                velocity = tentative.followed.velocity
+                from_tentative = (self._even_motion(tentative.fix.pose, interval, velocity=velocity),)
+        if tentative is None and followed is not None and followed.evidence >= MIN_EVIDENCE:
+            slip = followed.prediction(self._slips.cost - followed.evidence)
+            return Predictions(usual, slip, followed, caught_up, evidence=followed.evidence)
         evidence = 0.0 if tentative is None else tentative.evidence
-        return Predictions(usual, None if self._since_fix is None else slip, caught_up, from_tentative, evidence)
+        return Predictions(usual, None if self._since_fix is None else slip, None, caught_up, from_tentative, evidence)
 
     def learn(self, usual: Prediction, match: PointMatch) -> None:
         """Learn the error of predictions from the match of a tracked scan, and its usual prediction."""
@@ -226,12 +193,17 @@ class PosePredictor:
         odometry: se2.Pose,
         tentative: TentativePose | None,
         is_certain: Callable[[Prediction], bool],
+        compare: Compare,
     ) -> None:
         """Keep the pose of a scan as the fix or as tentative, by its status.
 
         tentative   pose of the scan if it is TENTATIVE, else None
         is_certain  returns True if a contradiction between the scan and a prediction by odometry is certain
+        compare     compares the scan at another prediction, see `FollowedMotion`
         """
+        before = self._tentative if result.from_tentative else None
+        if tentative is not None and before is not None and tentative.followed is None:
+            tentative = replace(tentative, followed=before.followed)
         self._tentative = tentative
         if result.status is TrackingStatus.NO_FEATURES:
             return
@@ -241,7 +213,11 @@ class PosePredictor:
             return
         assert self._fix is not None
         fix = PoseFix(result.pose, odometry)
-        if self._since_fix:
+        if before is not None and before.followed is not None:
+            # The slip began scans ago: the motion since the last fix is not that of the robot.
+            self._velocity = copy(before.followed.velocity)
+            self._velocity.correct(se2.between(before.fix.pose, fix.pose), result.registered_covariance, self._interval)
+        elif self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         if result.slipped and self.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
@@ -252,8 +228,19 @@ class PosePredictor:
             seconds = (self._since_fix or 0.0) if self._interval <= STEADY_SECONDS else 0.0
             compared = ComparedFix(fix, result.registration.total_information, self._velocity, seconds)
             self._comparison.add(compared, self.model, self._prediction_error.covariance, is_certain)
+            if before is not None and before.followed is not None:
+                self._comparison.add_slip(before.followed.duration)
         self._slips.add(slipped=result.slipped)
         self._fix, self._since_fix, self._odometry_after_gap = fix, 0.0, None
+        self._followed = self._following(compare) if self.measured and not result.slipped else None
+
+    def _following(self, compare: Compare) -> FollowedMotion:
+        """Return the hypothesis of a slip after a scan that was tracked by odometry: that so far, or a new one."""
+        assert self._fix is not None
+        followed = None if self._followed is None else self._followed.compared(self._fix.pose, compare)
+        if followed is None or (followed.apart is None and followed.duration > STEADY_SECONDS):
+            return FollowedMotion.begin(self._fix.pose, self._velocity)
+        return followed
 
     def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
@@ -291,15 +278,11 @@ class PosePredictor:
         information = inverse(self.model.covariance(motion) + self._prediction_error.covariance)
         return Prediction(pose, information, cost, inertia=inertia)
 
-    def _even_motion(self, pose: se2.Pose, seconds: float, cost: float = 0.0) -> Prediction:
+    def _even_motion(
+        self, pose: se2.Pose, seconds: float, cost: float = 0.0, *, velocity: VelocityFilter | None = None
+    ) -> Prediction:
         """Return the prediction some seconds after `pose` if the robot moves on as it did, whatever odometry says."""
-        sigmas = self._velocity.deviations(seconds) + PREDICTION_SIGMAS
+        velocity = velocity or self._velocity
+        sigmas = velocity.deviations(seconds) + PREDICTION_SIGMAS
         steady = min(seconds, STEADY_SECONDS) if self.measured else seconds
-        return Prediction(se2.compose(pose, self._velocity.motion(steady)), information_of(sigmas), cost)
-
-
-def information_of(sigmas: Floats) -> Floats:
-    """Return the information (3, 3) of a pose whose components have the standard deviations `sigmas` (3,)."""
-    information = np.zeros((3, 3))
-    information.flat[::4] = sigmas**-2.0
-    return information
+        return Prediction(se2.compose(pose, velocity.motion(steady)), information_of(sigmas), cost)

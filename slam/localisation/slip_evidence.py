@@ -12,8 +12,8 @@ from drivers import se2
 from ..geometry.chi_square import chi_square_quantile
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch
 from .match_target import ScanMatch
-from .pose_predictor import Alternative, Predictions
 from .prediction_error import PREDICTION_SIGMAS
+from .predictions import Alternative, Predictions
 
 # Difference in cost up to which another place may be the right one. Origin: measured, where a lidar that sees 180
 # degrees looks into a room for the first time, parallel walls fit together at wrong places, which cost up to 10.5 less
@@ -42,19 +42,19 @@ class SlipEvidence:
 
         After a tentative scan it may have been found from any prediction: poses around odometry were searched as well.
         """
-        found_otherwise = bool(self.predictions.from_tentative) or not self._fits_slip
+        found_otherwise = bool(self.predictions.from_tentative) or not self.fits_slip
         return found_otherwise and not self.contradicts_odometry
 
     @property
     def confirms_slip(self) -> bool:
         """True if the pose confirms an earlier slip: it was found from a tentative one, or where odometry caught up."""
         fits_usual = self.match.points.prediction is self.predictions.usual
-        return not (self.odometry_holds or fits_usual or self._fits_slip)
+        return not (self.odometry_holds or fits_usual or self.fits_slip)
 
     @property
     def seems_slipped(self) -> bool:
         """True if only an even motion leads to the pose, and not odometry as well: the next scan has to confirm it."""
-        if self.odometry_holds or not self._fits_slip:
+        if self.odometry_holds or not self.fits_slip:
             return False
         usual = self._match_near_usual
         return usual is None or not self._is_same_place(usual)
@@ -79,7 +79,7 @@ class SlipEvidence:
         return Alternative(other.pose, other.cost - self.match.points.cost)
 
     @property
-    def _fits_slip(self) -> bool:
+    def fits_slip(self) -> bool:
         """True if the best match is the one near the prediction of a slip."""
         return self.match.points.prediction is self.predictions.slip
 

@@ -90,6 +90,14 @@ class SmallObjects:
         self.seen, self.moved = kept * (self.seen + seen), kept * (self.moved + moved)
 
 
+def lasting_points(scan: ScanFeatures) -> Floats:
+    """Return the points (p, 6) of a scan that are on no small object.
+
+    An object that moves does so in scans in a row: their evidence about it does not add up.
+    """
+    return np.asarray(points_of(scan)[objects_of(scan) < 0])
+
+
 @lru_cache(maxsize=1)  # a scan is counted after it was matched
 def objects_of(scan: ScanFeatures) -> Integers:
     """Return (p,) the number of the small object on which each of `points_of` a scan lies, from 0 on; -1 if on none."""

@@ -24,15 +24,17 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
+from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction, information_of
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
+from .followed_motion import Compare
 from .match_target import MatchTarget, ScanMatch
-from .pose_predictor import PosePredictor, Predictions, TentativePose, information_of
+from .pose_predictor import PosePredictor
 from .prediction_error import PREDICTION_SIGMAS
+from .predictions import Predictions, TentativePose
 from .slip_evidence import SlipEvidence
-from .small_objects import SmallObjects
+from .small_objects import SmallObjects, lasting_points
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MIN_POINTS, View, ViewComparison
 
@@ -163,7 +165,7 @@ class Tracker:
         if status is TrackingStatus.TRACKED:
             self._small_objects.add(scan, result.pose, target.field, self._predictor.interval)
         is_certain = partial(target.excludes, points=points, pose=match.points.pose)
-        self._update(result, evidence, odometry, is_certain)
+        self._update(result, evidence, odometry, is_certain, partial(target.compare, lasting_points(scan)))
         return result
 
     def _match(self, scan: ScanFeatures, points: Floats, predictions: Predictions, target: MatchTarget) -> ScanMatch:
@@ -183,8 +185,9 @@ class Tracker:
         evidence: SlipEvidence,
         odometry: se2.Pose,
         is_certain: Callable[[Prediction], bool],
+        compare: Compare,
     ) -> None:
-        """Keep what the predictions of the next scans need of a match; for `is_certain` see `PosePredictor.update`."""
+        """Keep what the predictions of the next scans need of a match; for the last two see `PosePredictor.update`."""
         if result.status is TrackingStatus.TRACKED:
             self._last_score, self._untracked_in_a_row = evidence.match.score, 0
             if self.measured:
@@ -194,8 +197,9 @@ class Tracker:
         tentative: TentativePose | None = None
         if result.status is TrackingStatus.TENTATIVE:
             alternative = evidence.alternative if self.measured else None
-            tentative = TentativePose(PoseFix(result.pose, odometry), alternative, evidence.match.evidence)
-        self._predictor.update(result, odometry, tentative, is_certain)
+            followed = evidence.predictions.followed if evidence.fits_slip else None
+            tentative = TentativePose(PoseFix(result.pose, odometry), alternative, evidence.match.evidence, followed)
+        self._predictor.update(result, odometry, tentative, is_certain, compare)
 
     @property
     def measured(self) -> bool:

@@ -116,6 +116,13 @@ class Prediction:
         return self.squared_distance(pose) > NORMAL_LIMIT**2
 
 
+def information_of(sigmas: Floats) -> Floats:
+    """Return the information (3, 3) of a pose whose components have the standard deviations `sigmas` (3,)."""
+    information = np.zeros((3, 3))
+    information.flat[::4] = sigmas**-2.0
+    return information
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PointMatch:
     """Match of a scan's points.

@@ -30,6 +30,10 @@ def certain(_prediction: Prediction) -> bool:
     return True
 
 
+def compare(_prediction: Prediction, _pose: se2.Pose) -> tuple[None, float]:
+    return None, 0.0
+
+
 def failing(
     motions: Iterable[tuple[Floats, Floats]],
     period: float = PERIOD,
@@ -132,7 +136,7 @@ def test_the_motion_is_predicted_to_be_even_while_odometry_fails() -> None:
             np.testing.assert_allclose(predictions.usual.pose, pose, atol=0.005)
         slipped = k >= 20
         result = tracking_result(pose=pose, information=1e6 * np.eye(3), slipped=slipped)
-        predictor.update(result, odometry, None, certain)
+        predictor.update(result, odometry, None, certain, compare)
         pose = pose + STEP
         odometry = odometry if k >= 19 else odometry + STEP
     assert predictor.odometry_failing

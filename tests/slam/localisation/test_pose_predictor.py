@@ -7,7 +7,8 @@ import pytest
 
 from drivers import se2
 from slam.config import OdometryConfig
-from slam.localisation.pose_predictor import Alternative, PosePredictor, TentativePose
+from slam.localisation.pose_predictor import PosePredictor
+from slam.localisation.predictions import Alternative, TentativePose
 from slam.localisation.small_objects import SmallObjects
 from slam.localisation.tracking import PoseFix, TrackingStatus
 from slam.matching.point_matcher import Prediction
@@ -23,6 +24,10 @@ def certain(_prediction: Prediction) -> bool:
     return True
 
 
+def compare(_prediction: Prediction, _pose: se2.Pose) -> tuple[None, float]:
+    return None, 0.0
+
+
 def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() -> None:
     predictor = PosePredictor(OdometryModel(OdometryConfig()))
     tentative, alternative = np.array([0.9, 0.3, 0.1]), np.array([0.25, 0.0, 0.2])
@@ -30,7 +35,7 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
     odometry = np.zeros(3)
     for k in range(2):
         predictor.predict(0.1 * k, odometry)
-        predictor.update(tracking_result(pose=odometry, information=INFORMATION), odometry, None, certain)
+        predictor.update(tracking_result(pose=odometry, information=INFORMATION), odometry, None, certain, compare)
         odometry = odometry + STEP
     before = predictor.predict(0.2, odometry).usual
     np.testing.assert_allclose(before.pose, odometry, atol=1e-9)
@@ -39,6 +44,7 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
         odometry,
         TentativePose(PoseFix(tentative, odometry), Alternative(alternative, 4.0), 3.0),
         certain,
+        compare,
     )
     predictions = predictor.predict(0.3, odometry + STEP)
     usual, (from_tentative, _even) = predictions.usual, predictions.from_tentative
@@ -53,10 +59,10 @@ def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     predictor = PosePredictor(OdometryModel(OdometryConfig()))
     predictor.move_to(np.zeros(3), np.zeros(3))
     predictor.predict(0.0, np.zeros(3))
-    predictor.update(tracking_result(information=INFORMATION), np.zeros(3), None, certain)
+    predictor.update(tracking_result(information=INFORMATION), np.zeros(3), None, certain, compare)
     predictor.predict(0.1, STEP)
     result = tracking_result(TrackingStatus.TENTATIVE, pose=np.array([0.9, 0.3, 0.1]))
-    predictor.update(result, STEP, TentativePose(PoseFix(result.pose, STEP), None, 3.0), certain)
+    predictor.update(result, STEP, TentativePose(PoseFix(result.pose, STEP), None, 3.0), certain, compare)
     usual = predictor.predict(0.2, 2 * STEP).usual
     np.testing.assert_allclose(usual.pose, 2 * STEP, atol=1e-9)
     assert usual.cost == pytest.approx(-np.log(20.0 / 21.0))  # no more than that of odometry without a slip
@@ -68,7 +74,7 @@ def test_the_cost_of_a_slip_follows_from_the_scans_that_slipped_and_is_saved() -
     for slipped in (False, True):
         for k in range(20):
             predictor.predict(0.1 * k, np.zeros(3))
-            predictor.update(tracking_result(slipped=slipped), np.zeros(3), None, certain)
+            predictor.update(tracking_result(slipped=slipped), np.zeros(3), None, certain, compare)
         predictions = predictor.predict(2.0, np.zeros(3))
         assert predictions.slip is not None
         costs.append((predictions.usual.cost, predictions.slip.cost))

@@ -1,0 +1,104 @@
+"""Hypothesis that odometry stands still for some scans in a row, while the robot moves on evenly.
+
+Of a slow robot, or of a lidar that measures often, one scan is no evidence: between two scans the robot moves by less
+than the map is exact. Then the estimate stands as odometry does, and a motion at its velocity is no alternative any
+more. So the pose of a robot that moves on as before is followed beside that by odometry, and the evidence of the scans
+against odometry is added up. The sequential test of Wald ends if it is against an even motion.
+
+Scans are compared again after the two poses have come a cell farther apart, or closer together: until then the same
+points meet the same surfaces, and repeat the errors of these. That wheels spin while the robot stands is not tested in
+this way: in a bare corridor, people who walk with the robot are all that tells these cases apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from drivers import se2
+from features.normal_limits import NORMAL_LIMIT
+
+from ..matching.offset_tiles import FIELD_CELL
+from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction, information_of
+from ..odometry.history import wheel_travel
+from ..odometry.velocity import VelocityFilter
+from .match_target import MIN_EVIDENCE
+from .odometry_comparison import GROSS_SHARE
+from .prediction_error import PREDICTION_SIGMAS
+
+Compare: TypeAlias = Callable[[Prediction, se2.Pose], tuple[PointMatch | None, float]]
+"""Matches the points of a scan near a prediction; returns the match, and the evidence (nats) for it against a pose.
+
+If the match leads to that pose, it is None, and the evidence is that for the predicted pose."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedMotion:
+    """Pose of a robot that has moved on evenly, whatever odometry says.
+
+    start     [x, y, heading] of the base in the map when odometry last agreed with the even motion
+    pose      the same at the last comparison, or at the begin
+    velocity  at the begin
+    seconds   since then
+    duration  seconds since the begin
+    apart     (3,) pose by odometry as seen from the followed one at the last comparison; None at the begin
+    evidence  (nats) against odometry, of the scans since the begin
+    """
+
+    start: se2.Pose
+    pose: se2.Pose
+    velocity: VelocityFilter
+    seconds: float = 0.0
+    duration: float = 0.0
+    apart: se2.Pose | None = None
+    evidence: float = 0.0
+
+    @classmethod
+    def begin(cls, pose: se2.Pose, velocity: VelocityFilter) -> FollowedMotion:
+        """Return the hypothesis that odometry stands still from now on, where the robot is at a pose in the map."""
+        return cls(pose, pose, copy(velocity))
+
+    def after(self, seconds: float) -> FollowedMotion:
+        """Return the hypothesis some seconds later."""
+        return replace(self, seconds=self.seconds + seconds, duration=self.duration + seconds)
+
+    def moved(self, before: se2.Pose, after: se2.Pose) -> FollowedMotion:
+        """Return the hypothesis in a map that was corrected, by which a pose `before` has become `after`."""
+        start, pose = (se2.compose(after, se2.between(before, one)) for one in (self.start, self.pose))
+        return replace(self, start=start, pose=pose)
+
+    def prediction(self, cost: float = 0.0) -> Prediction:
+        """Return the prediction of the present pose; `cost` see `Prediction`."""
+        sigmas = np.sqrt(self.velocity.variances) * self.seconds + PREDICTION_SIGMAS
+        return Prediction(se2.compose(self.pose, self.velocity.motion(self.seconds)), information_of(sigmas), cost)
+
+    @property
+    def lost(self) -> bool:
+        """True if the robot may be farther away than poses are searched."""
+        sigma = math.sqrt(float(self.velocity.variances[:2].max()))
+        return NORMAL_LIMIT * sigma * self.duration > MAX_SEARCH_SHIFT
+
+    def compared(self, pose: se2.Pose, compare: Compare) -> FollowedMotion | None:
+        """Return the hypothesis after a scan that was tracked at a `pose` by odometry; None if it is refuted."""
+        predicted = self.prediction()
+        if self.lost:
+            return None
+        before = np.zeros(3) if self.apart is None else self.apart
+        if float(wheel_travel(se2.between(predicted.pose, pose) - before)) < FIELD_CELL:
+            return replace(self, start=pose) if self.apart is None else self
+        match, evidence = compare(predicted, pose)
+        followed = predicted.pose if match is None else match.pose
+        total = self.evidence + evidence - 0.5 * predicted.squared_distance(followed)
+        if total <= -MIN_EVIDENCE or predicted.excludes(followed) or not self._stands_still(followed, pose):
+            return None
+        return replace(self, pose=followed, seconds=0.0, apart=se2.between(followed, pose), evidence=total)
+
+    def _stands_still(self, followed: se2.Pose, odometry: se2.Pose) -> bool:
+        """Return True if the way to a pose by odometry is grossly shorter than that to the followed pose."""
+        travel, of_odometry = (float(wheel_travel(se2.between(self.start, pose))) for pose in (followed, odometry))
+        return of_odometry < GROSS_SHARE * travel
