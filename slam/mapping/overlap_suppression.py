@@ -21,16 +21,13 @@ from drivers import se2
 
 from ..geometry.segments import Integers
 from .landmarks import Landmarks
-from .wall_cells import WALL_CELL
+from .wall_cells import END_ERROR_CELLS, WALL_CELL
 
 # Metres between lines of one wall: the depth of its frames, pillars and ledges. The bays of a facade are deeper.
 # Origin: measured, on Intel, fr079 and CSAIL it leaves 5, 14 and 6 of 42, 104 and 49 pairs of close walls: bays.
 MAX_DEPTH = 0.05
 # Radians between lines of one wall. Origin: chosen, short lines on ledges are turned by some degrees; not measured.
 MAX_OVERLAP_TURN = math.radians(10.0)
-# Shortest run of cells that is suppressed, and that remains: walls that meet at an obtuse angle are close to each other
-# over a short stretch. Origin: chosen, 0.3 m; not measured.
-MIN_RUN_CELLS = 3
 
 
 def suppress_overlapping_walls(landmarks: Landmarks) -> Landmarks:
@@ -98,10 +95,14 @@ def _places_alongside(landmarks: Landmarks, pairs: Integers) -> dict[int, dict[i
 
 
 def _long_runs(cells: Iterable[int]) -> frozenset[int]:
-    """Return the cells that belong to a run of at least MIN_RUN_CELLS consecutive ones."""
+    """Return the cells that belong to a run of more than END_ERROR_CELLS consecutive ones.
+
+    No shorter run is suppressed, or remains: walls that meet at an obtuse angle are close to each other over a short
+    stretch.
+    """
     runs: list[list[int]] = []
     for cell in sorted(cells):
         if not runs or cell > runs[-1][-1] + 1:
             runs.append([])
         runs[-1].append(cell)
-    return frozenset(chain.from_iterable(run for run in runs if len(run) >= MIN_RUN_CELLS))
+    return frozenset(chain.from_iterable(run for run in runs if len(run) > END_ERROR_CELLS))

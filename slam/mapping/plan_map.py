@@ -23,14 +23,14 @@ from .map_features import MapWalls
 from .plan import Plan
 from .plan_views import RaysFromPlace, cast_views
 from .ray_casting import pieces_near_line
-from .wall_cells import WALL_CELL, cells_between
+from .wall_cells import END_ERROR_CELLS, WALL_CELL, cells_between
 
 # Metres between two pieces of one wall: a double door. Origin: chosen; not measured.
 MAX_PIECE_GAP = 2.0
-# Metres of a piece that has a direction of its own. Origin: chosen, two cells of coverage; not measured.
-MIN_PIECE = 2.0 * WALL_CELL
-# Metres of a face that a view must show. Origin: chosen, three cells of coverage; not measured.
-MIN_VISIBLE = 3.0 * WALL_CELL
+# Metres of a piece that has a direction of its own: what is shorter may be an error of the end of another one.
+MIN_PIECE = END_ERROR_CELLS * WALL_CELL
+# Metres of a face that a view must show, more than by what its ends may be wrong.
+MIN_VISIBLE = MIN_PIECE + WALL_CELL
 # Rays that must meet a face to show it: fewer may pass through a gap of the drawing by chance. Origin: definition, a
 # line.
 MIN_RAYS = 3

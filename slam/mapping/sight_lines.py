@@ -22,7 +22,7 @@ from ..geometry.segments import Floats, Integers
 from ..geometry.small_matrices import quadratic_form
 from .landmarks import Landmarks
 from .near_landmarks import is_beyond_reach
-from .wall_cells import ON_WALL_DISTANCE, WALL_CELL
+from .wall_cells import END_ERROR_CELLS, ON_WALL_DISTANCE, WALL_CELL
 
 # Metres from a wall's line, on either side, that both ends of a sight line must be away for the wall to be seen
 # through: anything nearer may be the wall itself, or something on it. Origin: chosen, twice the distance of points on
@@ -31,9 +31,6 @@ MIN_DEPTH = 2.0 * ON_WALL_DISTANCE
 # Least sine of the angle between a sight line and a wall that it crosses: about 45 degrees. Glass reflects a beam only
 # at steep angles, so others would see through it. Origin: chosen; not measured.
 MIN_CROSSING_SINE = 0.7
-# Cells from an end of a wall, or from a gap in it, that are never seen through: sight lines may have passed by.
-# Origin: chosen, 0.2 m; not measured.
-END_MARGIN_CELLS = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +159,7 @@ def cells_seen_through(
 ) -> dict[int, list[int]]:
     """Return for each row of `view` the covered cells that are seen through with certainty.
 
-    They are at least END_MARGIN_CELLS from an end, and the depth exceeds MIN_DEPTH plus NORMAL_LIMIT standard
+    They are at least END_ERROR_CELLS from an end, and the depth exceeds MIN_DEPTH plus NORMAL_LIMIT standard
     deviations. The variance is that of the wall at its last observation, plus the growth of the pose covariance since
     then; see `local_map_around`.
     """
@@ -171,7 +168,7 @@ def cells_seen_through(
     for row in dict.fromkeys(rows.tolist()):
         wall, covered = view.rows[row], landmarks.covered[view.walls[row]]
         known = covered | landmarks.opened_cells(int(view.walls[row]))
-        margin = min(END_MARGIN_CELLS, (len(covered) - 1) // 4)
+        margin = min(END_ERROR_CELLS, (len(covered) - 1) // 4)
         depth = view.depth[view.ends[row] : view.ends[row + 1]]
         drift = pose_covariances[-1] - pose_covariances[wall["last_seen"]]
         deep = _deep_enough(depth, view.first[row], wall["frame"].copy(), wall["covariance"].copy(), pose, drift)

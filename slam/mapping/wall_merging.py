@@ -24,7 +24,7 @@ from .keyframes import WallMerge
 from .landmarks import Landmarks
 from .local_map import MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE, LocalMap
 from .unconfirmed_observations import CONFIRMING_KEYFRAMES
-from .wall_cells import WALL_CELL
+from .wall_cells import END_ERROR_CELLS, WALL_CELL
 
 # Squared Mahalanobis distance between two walls that may be one. Stricter than the association gate, as a merge is
 # final. Origin: chi-square, 2 dof, 95 %.
@@ -34,8 +34,6 @@ MERGE_GATE = chi_square_quantile(0.95, 2)
 MAX_MERGE_OFFSET = 0.10
 # Radians between two walls that may be one. Origin: chosen; not measured.
 MAX_MERGE_HEADING = math.radians(4.0)
-# Metres by which two walls that may be one must overlap. Origin: chosen, two cells of coverage; not measured.
-MIN_OVERLAP_LENGTH = 2.0 * WALL_CELL
 # Keyframes that must have observed a wall before it is merged by its covariance relative to the robot alone.
 # Origin: chosen, one more than for confirmation; not measured.
 MIN_OBSERVATIONS_TO_MERGE = CONFIRMING_KEYFRAMES + 1
@@ -165,7 +163,7 @@ def _overlaps(frame, low, high):  # type: ignore[no-untyped-def]
             start, end = max(low[i], along + low[j]), min(high[i], along + high[j])
             middle = 0.5 * (start + end)
             offset = across + (middle - along) * math.tan(turn)
-            if abs(offset) < MAX_MERGE_OFFSET and end - start > MIN_OVERLAP_LENGTH:
+            if abs(offset) < MAX_MERGE_OFFSET and end - start > END_ERROR_CELLS * WALL_CELL:
                 pairs[count, 0], pairs[count, 1] = i, j
                 values[count, 0], values[count, 1], values[count, 2] = along, middle, end - start
                 values[count, 3], values[count, 4] = offset, turn

@@ -15,8 +15,8 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from .landmarks import Landmarks
-from .sight_lines import END_MARGIN_CELLS, WallsInView, cells_seen_through, walls_in_view
-from .wall_cells import MIN_GAP_BETWEEN_PIECES, WALL_CELL
+from .sight_lines import WallsInView, cells_seen_through, walls_in_view
+from .wall_cells import END_ERROR_CELLS, MIN_GAP_BETWEEN_PIECES, WALL_CELL
 
 # Metres of driving between two scans that count: an error of one scan is repeated at the same place.
 # Origin: chosen, less than the distance between keyframes; not measured.
@@ -27,8 +27,6 @@ SEEN_WEIGHT = 3
 # Scans that must have seen through a cell of a well-observed wall; fewer if the wall has fewer observations than that.
 # Origin: chosen; not measured.
 MAX_REQUIRED_SCANS = 6
-# Cells without evidence between two that were seen through. Origin: chosen, 0.2 m; not measured.
-MAX_GAP_CELLS = 2
 # Metres of the narrowest opening: a door, rather than a hole between two beams. Origin: definition, so that the rest of
 # the wall is in pieces.
 MIN_OPENING = MIN_GAP_BETWEEN_PIECES
@@ -193,15 +191,15 @@ def _supported(view: WallsInView, through: dict[int, list[int]], travelled: Sequ
 def _stretches(gone: Set[int], known: Set[int]) -> list[list[int]]:
     """Return the known cells in stretches of cells that are gone, with gaps closed and near ends of the wall included.
 
-    A gap has at most MAX_GAP_CELLS cells; an end of the wall is near if at most END_MARGIN_CELLS cells remain there.
+    A gap has at most END_ERROR_CELLS cells; an end of the wall is near if at most END_ERROR_CELLS cells remain there.
     """
     ordered = np.sort(np.fromiter(gone, dtype=np.int64, count=len(gone)))
     stretches = []
-    for part in np.split(ordered, np.flatnonzero(np.diff(ordered) > MAX_GAP_CELLS + 1) + 1):
+    for part in np.split(ordered, np.flatnonzero(np.diff(ordered) > END_ERROR_CELLS + 1) + 1):
         low, high = int(part[0]), int(part[-1])
-        before = [cell for cell in range(low - END_MARGIN_CELLS - 1, low) if cell in known]
-        after = [cell for cell in range(high + 1, high + END_MARGIN_CELLS + 2) if cell in known]
-        begin = low - END_MARGIN_CELLS if len(before) <= END_MARGIN_CELLS else low
-        end = high + END_MARGIN_CELLS if len(after) <= END_MARGIN_CELLS else high
+        before = [cell for cell in range(low - END_ERROR_CELLS - 1, low) if cell in known]
+        after = [cell for cell in range(high + 1, high + END_ERROR_CELLS + 2) if cell in known]
+        begin = low - END_ERROR_CELLS if len(before) <= END_ERROR_CELLS else low
+        end = high + END_ERROR_CELLS if len(after) <= END_ERROR_CELLS else high
         stretches.append([cell for cell in range(begin, end + 1) if cell in known])
     return stretches

@@ -14,11 +14,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.landmarks import Landmarks
-from ..mapping.wall_cells import WALL_CELL
-
-# Unobserved cells of a wall between two observed ones that do not divide a stretch: the ends of two segments, no door.
-# Origin: chosen, narrower than any door; not measured.
-MAX_BRIDGED_CELLS = 2
+from ..mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +95,6 @@ def _observed_stretches(landmarks: Landmarks, wall: int) -> Floats:
     cells = np.array(sorted(landmarks.covered[wall]), dtype=np.int64)
     if not len(cells):
         return np.zeros((0, 2))
-    breaks = np.flatnonzero(np.diff(cells) > MAX_BRIDGED_CELLS + 1)
+    breaks = np.flatnonzero(np.diff(cells) > END_ERROR_CELLS + 1)
     first, last = np.concatenate([[0], breaks + 1]), np.concatenate([breaks, [len(cells) - 1]])
     return WALL_CELL * np.column_stack([cells[first], cells[last] + 1.0])

@@ -11,14 +11,13 @@ from drivers import se2
 from features.corner_angle import MIN_SINE
 
 from ...geometry.segments import Floats
-from ...mapping.sight_lines import END_MARGIN_CELLS
-from ...mapping.wall_cells import WALL_CELL
+from ...mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
 from ...measuring.wall_map import WallGeometry
 from .changes import Change, ChangeKind, MapDiff
 
 # Metres by which a corner may be beyond the stretch that is gone or new. Origin: chosen, the margin at the ends of a
 # wall that is never seen through, and a cell.
-END_MARGIN = (END_MARGIN_CELLS + 1) * WALL_CELL
+END_MARGIN = (END_ERROR_CELLS + 1) * WALL_CELL
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,9 +18,9 @@ from drivers import se2
 from features.normal_limits import NORMAL_LIMIT
 
 from ...geometry.segments import Floats, Integers
-from ...mapping.sight_lines import END_MARGIN_CELLS, MIN_DEPTH, trace_sight_lines
-from ...mapping.wall_cells import ON_WALL_DISTANCE, WALL_CELL
-from ...mapping.wall_removal import MAX_GAP_CELLS, MIN_OPENING
+from ...mapping.sight_lines import MIN_DEPTH, trace_sight_lines
+from ...mapping.wall_cells import END_ERROR_CELLS, ON_WALL_DISTANCE, WALL_CELL
+from ...mapping.wall_removal import MIN_OPENING
 from ...measuring.wall_map import WallGeometry
 from .exact_test import Votes, exact_p_value
 from .surveys import Survey
@@ -130,7 +130,7 @@ class _Cells:
         self.covered, self.inner = np.zeros(self.count, dtype=bool), np.zeros(self.count, dtype=bool)
         for row, pieces in enumerate(walls.pieces):
             for low, high in (self._ends[row] + np.round(pieces / WALL_CELL).astype(int) - self._first[row]).tolist():
-                margin = min(END_MARGIN_CELLS, max(high - low - 1, 0) // 4)
+                margin = min(END_ERROR_CELLS, max(high - low - 1, 0) // 4)
                 begin, end = max(low, int(self._ends[row])), min(high, int(self._ends[row + 1]))
                 self.covered[begin:end] = True
                 self.inner[begin + margin : end - margin] = True
@@ -203,12 +203,13 @@ class _Cells:
 def _runs(cells: _Cells, chosen: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """Yield the first and last cell of each run of chosen cells in one wall that is long enough for an opening.
 
-    Gaps of up to MAX_GAP_CELLS do not divide a run. A run that is all that is observed of a short wall is long enough.
+    Gaps of up to END_ERROR_CELLS do not divide a run. A run that is all that is observed of a short wall is long
+    enough.
     """
     rows = np.flatnonzero(chosen)
     if not len(rows):
         return
-    breaks = np.flatnonzero((np.diff(rows) > MAX_GAP_CELLS + 1) | (np.diff(cells.wall[rows]) > 0))
+    breaks = np.flatnonzero((np.diff(rows) > END_ERROR_CELLS + 1) | (np.diff(cells.wall[rows]) > 0))
     for run in np.split(rows, breaks + 1):
         inner = int((cells.inner & (cells.wall == cells.wall[run[0]])).sum())
         if len(run) >= min(round(MIN_OPENING / WALL_CELL), inner):

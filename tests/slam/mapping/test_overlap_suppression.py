@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from slam.geometry.segments import Floats
 from slam.mapping.landmarks import Landmarks
-from slam.mapping.overlap_suppression import MAX_DEPTH, MIN_RUN_CELLS, suppress_overlapping_walls
-from slam.mapping.wall_cells import WALL_CELL
+from slam.mapping.overlap_suppression import MAX_DEPTH, suppress_overlapping_walls
+from slam.mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
 
 
 def landmarks_of(*walls: tuple[list[float], float, int]) -> Landmarks:
@@ -102,9 +102,9 @@ def test_no_stretch_appears_twice_and_none_is_lost(walls: list[tuple[float, floa
     shown = suppress_overlapping_walls(landmarks)
     before, after = heights(landmarks), heights(shown)
     nothing = np.isnan(after).all(axis=0) & ~np.isnan(before).all(axis=0)
-    assert longest(nothing) <= MIN_RUN_CELLS + 1
+    assert longest(nothing) <= END_ERROR_CELLS + 2
     for wall, other in combinations(after, 2):
-        assert longest(np.abs(wall - other) < 0.9 * MAX_DEPTH) <= MIN_RUN_CELLS + 1
+        assert longest(np.abs(wall - other) < 0.9 * MAX_DEPTH) <= END_ERROR_CELLS + 2
 
 
 def heights(landmarks: Landmarks) -> Floats:
