@@ -30,9 +30,6 @@ MAX_REQUIRED_SCANS = 6
 # Metres of the narrowest opening: a door, rather than a hole between two beams. Origin: definition, so that the rest of
 # the wall is in pieces.
 MIN_OPENING = MIN_GAP_BETWEEN_PIECES
-# A wall is removed entirely if less remains of it than REMAINDER_SHARE of its length, but at least MIN_REMAINDER and at
-# most MAX_REMAINDER metres. Origin: chosen; not measured.
-MIN_REMAINDER, REMAINDER_SHARE, MAX_REMAINDER = 0.3, 1 / 3, 1.0
 # Metres of driving within which the map does not bend. Origin: chosen, the length of a room, and the range of lidars in
 # it; not measured.
 RIGID_DISTANCE = 15.0
@@ -150,10 +147,9 @@ class FreeSpaceEvidence:
         opened = landmarks.opened_cells(wall)  # an opening may become wider
         stretches = _stretches(gone | opened, covered | opened)
         remaining = WALL_CELL * len(covered - frozenset(cell for stretch in stretches for cell in stretch))
-        limit = min(MAX_REMAINDER, max(MIN_REMAINDER, REMAINDER_SHARE * WALL_CELL * len(covered)))
         wide = [stretch for stretch in stretches if WALL_CELL * len(stretch) >= MIN_OPENING]
         opening = covered.intersection(cell for stretch in wide for cell in stretch)
-        nothing_left = remaining < limit
+        nothing_left = remaining < MIN_OPENING  # a piece as narrow as that is no wall
         if nothing_left or (opening and observations == 1):  # a single observation, partly wrong, was no wall
             landmarks.remove_wall(wall, keyframe)
             self.discard([wall])
