@@ -23,12 +23,6 @@ from .submap_search import REVISIT_GAP, SUBMAP_LENGTH
 # Covariance (3, 3) of the temporary loop factor, which only moves the map into place, metres and radians.
 # Origin: chosen, tighter than any drift; not measured.
 LOOP_FACTOR_COVARIANCE = np.diag(np.array([0.01, 0.01, np.radians(0.2)]) ** 2)
-# Least share of the matched walls that must coincide after the correction. Origin: chosen; not measured.
-MIN_COINCIDING_SHARE = 0.5
-# Metres between two walls that are merged, after the correction. Origin: chosen; not measured.
-COINCIDENCE_OFFSET = 0.20
-# Radians, likewise. Origin: chosen; not measured.
-COINCIDENCE_HEADING = np.radians(6.0)
 # Number of submap matches that have a point in common, as looks follow each other at a part of a submap: their errors
 # are not independent, so the covariance of each is multiplied by it. Origin: definition.
 POINT_SHARING = SUBMAP_LENGTH / SEARCH_INTERVAL
@@ -134,20 +128,12 @@ def _merge_coinciding_walls(mapper: Mapper, is_recent: NDArray[np.bool_]) -> lis
         one, other = int(rows[pair.first]), int(rows[pair.second])
         if recent[pair.first] == recent[pair.second] or not _are_separate(walls, one, other):
             continue
-        if walls_coincide(walls[one], walls[other]):
-            old, new = (other, one) if recent[pair.first] else (one, other)
-            mapper.merge_walls(old, new)
-            merged.append((old, new))
+        old, new = (other, one) if recent[pair.first] else (one, other)
+        mapper.merge_walls(old, new)
+        merged.append((old, new))
     return merged
 
 
 def _are_separate(walls: np.ndarray[Any, Any], one: int, other: int) -> bool:
     """Return True if neither of two walls has been merged into another one."""
     return bool(walls["merged_into"][one] == one and walls["merged_into"][other] == other)
-
-
-def walls_coincide(wall: np.void, other: np.void) -> bool:
-    """Return True if two walls, rows of the landmark table, lie on one line; compared at the middle of the second."""
-    relative = se2.between(wall["frame"], other["frame"])
-    offset = relative[1] + 0.5 * (other["low"] + other["high"]) * np.sin(relative[2])
-    return bool(abs(offset) < COINCIDENCE_OFFSET and abs(relative[2]) < COINCIDENCE_HEADING)

@@ -20,10 +20,11 @@ from ...geometry.nearest_pose import relative_to_nearest
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
 from ...localisation.local_field import MAX_PATH, LocalFieldState
-from ...loop_closure.closing import LOOP_FACTOR_COVARIANCE, MIN_COINCIDING_SHARE, walls_coincide
+from ...loop_closure.closing import LOOP_FACTOR_COVARIANCE
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.convergence import converge
 from ...mapping.mapper import Mapper
+from ...mapping.wall_merging import find_overlaps
 from ...odometry.error_model import OdometryModel
 from ...recognition.location import PlacedSubmap
 from .transfer import (
@@ -132,8 +133,12 @@ def _merge_matched_walls(mapper: Mapper, members: Sequence[PlacedSubmap], offset
     rows = mapper.landmarks.walls.rows
     matched = np.concatenate([member.walls + np.array([0, offset]) for member in members])
     pairs = list(dict.fromkeys((int(rows["merged_into"][old]), int(rows["merged_into"][new])) for old, new in matched))
-    coinciding = [(old, new) for old, new in pairs if walls_coincide(rows[old], rows[new])]
-    if len(coinciding) < MIN_COINCIDING_SHARE * len(pairs):
+    coinciding = [
+        (old, new)
+        for old, new in pairs
+        if find_overlaps(*(rows[name][[old, new]] for name in ("frame", "low", "high")))
+    ]
+    if 2 * len(coinciding) < len(pairs):
         raise MapError(f"only {len(coinciding)} of {len(pairs)} matched walls coincide")
     for old, new in coinciding:
         if old != new and rows["merged_into"][old] == old and rows["merged_into"][new] == new:
