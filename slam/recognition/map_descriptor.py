@@ -1,4 +1,4 @@
-"""Map descriptor: the confirmed walls and corners of a map, and the observed stretches of the walls.
+"""Map descriptor: the confirmed walls of a map, and their observed stretches.
 
 A submap is searched in a map by the descriptors of both.
 """
@@ -19,7 +19,7 @@ from ..mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapDescriptor:
-    """n walls and m corners in one frame.
+    """n walls in one frame.
 
     walls         (n,) landmark ids
     frame         (n, 3) at the walls' middles: x along the wall, which is seen from y > 0
@@ -28,8 +28,6 @@ class MapDescriptor:
                   including wall roughness
     stretches     (s, 2) observed stretches of the walls, metres along them from their frames; gaps may be doors
     stretch_wall  (s,) row of the wall of each stretch, ascending
-    corners       (m, 2) positions
-    headings      (m, 2) of the walls before and after each corner
     """
 
     walls: Integers
@@ -38,15 +36,13 @@ class MapDescriptor:
     covariance: Floats
     stretches: Floats
     stretch_wall: Integers
-    corners: Floats
-    headings: Floats
 
     def __len__(self) -> int:
         return len(self.walls)
 
 
 def describe_map(landmarks: Landmarks, roughness: float, observers: NDArray[np.bool_] | None = None) -> MapDescriptor:
-    """Describe the confirmed landmarks; `roughness` is the variance of the wall roughness, metres squared.
+    """Describe the confirmed walls; `roughness` is the variance of the wall roughness, metres squared.
 
     With `observers` (k,), only those that one of these keyframes saw last.
     """
@@ -64,10 +60,6 @@ def describe_map(landmarks: Landmarks, roughness: float, observers: NDArray[np.b
     covariance[:, 0, 0] += roughness
     covariance[:, 1, 1] += 3 * roughness / np.maximum(half, WALL_CELL) ** 2
     stretches = [_observed_stretches(landmarks, int(wall)) - by for wall, by in zip(walls, middle, strict=True)]
-    confirmed = np.flatnonzero(landmarks.corners.rows["in_graph"])
-    corners = landmarks.corners.rows[confirmed[landmarks.active_corners(confirmed)]]
-    if observers is not None:
-        corners = corners[observers[corners["last_seen"]]]
     return MapDescriptor(
         walls=walls,
         frame=se2.compose(rows["frame"], along).reshape(-1, 3),
@@ -75,19 +67,12 @@ def describe_map(landmarks: Landmarks, roughness: float, observers: NDArray[np.b
         covariance=covariance,
         stretches=np.concatenate([np.zeros((0, 2)), *stretches]),
         stretch_wall=np.repeat(np.arange(len(walls)), [len(some) for some in stretches]),
-        corners=corners["position"].copy(),
-        headings=corners["headings"].copy(),
     )
 
 
 def express_in_frame(pose: se2.Pose, descriptor: MapDescriptor) -> MapDescriptor:
     """Return the descriptor in the frame of a pose, which is given in the descriptor's frame."""
-    return replace(
-        descriptor,
-        frame=se2.between(pose, descriptor.frame).reshape(-1, 3),
-        corners=se2.transform(se2.inverse(pose), descriptor.corners).reshape(-1, 2),
-        headings=se2.wrap(descriptor.headings - pose[2]),
-    )
+    return replace(descriptor, frame=se2.between(pose, descriptor.frame).reshape(-1, 3))
 
 
 def _observed_stretches(landmarks: Landmarks, wall: int) -> Floats:

@@ -37,7 +37,7 @@ class MapIndex:
 def index_map(mapper: Mapper, observers: NDArray[np.bool_] | None = None) -> MapIndex:
     """Prepare a map. Takes a few milliseconds per hundred walls.
 
-    With `observers` (k,), only of landmarks that one of these keyframes saw last.
+    With `observers` (k,), only of walls that one of these keyframes saw last.
     """
     descriptor = describe_map(mapper.landmarks, mapper.roughness.variance, observers)
     return MapIndex(descriptor, build_pair_table(descriptor))
@@ -48,7 +48,7 @@ def align_candidates(observed: MapDescriptor, index: MapIndex) -> list[Alignment
     if len(observed) < MIN_WALLS or len(index.descriptor) < MIN_WALLS:
         return []
     samples = sample_walls(observed)
-    starts = vote_for_poses(observed, index.descriptor, index.pairs, MAX_ALIGNED_POSES)
+    starts = vote_for_poses(observed, index.pairs, MAX_ALIGNED_POSES)
     return _select_distinct([align_submap(start, observed, samples, index.descriptor) for start in starts])
 
 

@@ -96,7 +96,7 @@ class SubmapScan:
     """Submap of a drive with the points of its scans, in the frame of its last keyframe.
 
     keyframes   of the submap
-    descriptor  its walls and corners
+    descriptor  its walls
     points      (p, 6) thinned, with normals
     field       distance field of all points
     reach       metres from the last keyframe to the farthest point, at most MAX_REACH
@@ -167,7 +167,7 @@ def scan_submap(
 ) -> SubmapScan:
     """Build a submap of keyframes at `poses` (k, 3), each with points (p, 6) with normals in its frame.
 
-    descriptor  walls and corners in the frame of the last keyframe
+    descriptor  walls in the frame of the last keyframe
     """
     relative = se2.between(poses[-1], poses).reshape(-1, 3)
     farthest = [np.hypot(own[:, 0], own[:, 1]).max(initial=0.0) for own in points]

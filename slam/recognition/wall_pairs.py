@@ -1,10 +1,10 @@
-"""Voting for the pose of a submap in a map, from any start: pairs of walls and corners vote.
+"""Voting for the pose of a submap in a map, from any start: pairs of walls vote.
 
 Two walls that are not parallel define a frame: its origin is where their lines meet, its x axis runs along the first
 one, from which the second one turns left. Because a wall is seen from one side, that frame is unique, and putting the
 frame of a submap's pair on that of a map's pair with the same angle determines the motion. The stretches of both walls
-must overlap then. A corner is such a frame as well. Votes are counted in sorted cells instead of a grid, so that memory
-grows with the votes and not with the size of the building.
+must overlap then. Votes are counted in sorted cells instead of a grid, so that memory grows with the votes and not with
+the size of the building.
 """
 
 from __future__ import annotations
@@ -36,10 +36,6 @@ MIN_OVERLAP_SHARE = 0.5
 # Metres of wall, largest vote of one pair, so that the walls of a corridor do not outvote all others.
 # Origin: chosen; not measured.
 MAX_PAIR_VOTE = 2.0
-# Vote of a corner in metres of wall. Origin: chosen, half of a large pair; not measured.
-CORNER_VOTE = 1.0
-# Radians by which the angle of two matching corners may differ. Origin: chosen; not measured.
-CORNER_ANGLE_TOLERANCE = math.radians(15.0)
 # Metres, side of a cell of poses. Origin: chosen, below the first offset gate of the alignment; not measured.
 POSE_CELL = 0.5
 # Radians, size of a cell of poses; a divisor of the full turn.
@@ -67,15 +63,13 @@ def build_pair_table(descriptor: MapDescriptor, max_walls: int | None = None) ->
     return np.asarray(table[np.argsort(table[:, ANGLE], kind="stable")])
 
 
-def vote_for_poses(submap: MapDescriptor, descriptor: MapDescriptor, pairs: Floats, max_poses: int) -> Floats:
+def vote_for_poses(submap: MapDescriptor, pairs: Floats, max_poses: int) -> Floats:
     """Return poses (k, 3) of the submap's frame in the map, at most `max_poses`, those with most votes first.
 
-    `pairs` is the pair table of the map that `descriptor` describes.
+    `pairs` is the pair table of the map.
     """
     own = build_pair_table(submap, MAX_VOTING_WALLS)
-    found = _vote_by_pairs(own, pairs, np.searchsorted(pairs[:, ANGLE], own[:, ANGLE] - PAIR_ANGLE_TOLERANCE))
-    corners = _vote_by_corners(submap.corners, submap.headings, descriptor.corners, descriptor.headings)
-    votes = np.concatenate([found, corners])
+    votes = _vote_by_pairs(own, pairs, np.searchsorted(pairs[:, ANGLE], own[:, ANGLE] - PAIR_ANGLE_TOLERANCE))
     if not len(votes):
         return np.zeros((0, 3))
     return _strongest_poses(votes, max_poses)
@@ -197,25 +191,5 @@ def _vote_by_pairs(own, pairs, starts):  # type: ignore[no-untyped-def]
             c, s = math.cos(turn), math.sin(turn)
             votes[count, 0], votes[count, 1] = map_pair[X] + c * dx - s * dy, map_pair[Y] + s * dx + c * dy
             votes[count, 2], votes[count, 3] = turn % (2 * math.pi), min(MAX_PAIR_VOTE, overlap, other)
-            count += 1
-    return votes[:count]
-
-
-@compiled
-def _vote_by_corners(corners, headings, others, other_headings):  # type: ignore[no-untyped-def]
-    """Return the votes (v, 4) of corners, as `_vote_by_pairs`."""
-    count = 0
-    votes = np.empty((len(corners) * len(others), 4))
-    for i in range(len(corners)):
-        for j in range(len(others)):
-            first = wrap_angle(other_headings[j, 0] - headings[i, 0])
-            difference = wrap_angle(other_headings[j, 1] - headings[i, 1] - first)
-            if abs(difference) > CORNER_ANGLE_TOLERANCE:
-                continue
-            turn = first + 0.5 * difference
-            dx, dy = -corners[i, 0], -corners[i, 1]
-            c, s = math.cos(turn), math.sin(turn)
-            votes[count, 0], votes[count, 1] = others[j, 0] + c * dx - s * dy, others[j, 1] + s * dx + c * dy
-            votes[count, 2], votes[count, 3] = turn % (2 * math.pi), CORNER_VOTE
             count += 1
     return votes[:count]
