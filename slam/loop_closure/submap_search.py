@@ -24,7 +24,7 @@ from ..matching.distance_field import DistanceField, facing_grid
 from ..matching.offset_tiles import FIELD_CELL
 from ..matching.point_costs import COARSE_SIGMA, MISFIT, SEARCH_TURN_STEP, UNSEEN, cost_at
 from ..matching.point_matcher import MAX_SEARCH_POINTS, Prediction, match_from, point_cost
-from ..matching.scan_points import subsample
+from ..matching.scan_points import FINE_SIGMA, subsample
 
 # Metres of driving whose keyframes are the submap. Looks farther apart have no point in common.
 # Origin: chosen, about the size of a room; not measured.
@@ -44,9 +44,9 @@ MAX_SCREENING_POINTS = 600
 # Fit of these points from which a pose is improved with all of them. Origin: definition, with less a match is less
 # likely than a place that was not seen.
 MIN_SCREENING_FIT = 1.0 - UNSEEN / MISFIT
-# Metres and radians: standard deviation added to a match's own, from the submaps' own distortion.
-# Origin: chosen, a field's cell and its angle at 6 m; not measured.
-DISTORTION_SIGMAS = np.array([0.03, 0.03, 0.005])
+# Metres and radians: standard deviation added to a match's own, from the submaps' own distortion, which is that of a
+# point, and its angle over the length of a submap.
+DISTORTION_SIGMAS = np.array([FINE_SIGMA, FINE_SIGMA, FINE_SIGMA / SUBMAP_LENGTH])
 # Metres between two robot positions from which on they are different places. Origin: chosen; not measured.
 DISTINCT_SHIFT = 0.5
 # Radians, likewise; either suffices. Origin: chosen; not measured.

@@ -20,8 +20,9 @@ from .map_descriptor import MapDescriptor, describe_map
 from .submap_alignment import Alignment, align_submap, sample_walls
 from .wall_pairs import build_pair_table, vote_for_poses
 
-# Poses with most votes that are aligned. Origin: chosen, for speed; not measured.
-MAX_ALIGNED_POSES = 64
+# Poses of a submap with most votes that are aligned, and placements of a drive that are compared, those first in which
+# most wall length lies on walls. Origin: chosen, for speed; not measured.
+MAX_CANDIDATES = 64
 # Walls of a submap and of a map. Origin: definition, three determine a pose and leave one that can contradict it.
 MIN_WALLS = 3
 
@@ -48,7 +49,7 @@ def align_candidates(observed: MapDescriptor, index: MapIndex) -> list[Alignment
     if len(observed) < MIN_WALLS or len(index.descriptor) < MIN_WALLS:
         return []
     samples = sample_walls(observed)
-    starts = vote_for_poses(observed, index.pairs, MAX_ALIGNED_POSES)
+    starts = vote_for_poses(observed, index.pairs, MAX_CANDIDATES)
     return _select_distinct([align_submap(start, observed, samples, index.descriptor) for start in starts])
 
 

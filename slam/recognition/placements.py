@@ -21,19 +21,16 @@ from ..geometry.segments import Floats, Integers
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
 from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
-from .map_index import align_candidates
+from .map_index import MAX_CANDIDATES, align_candidates
 from .scanned_map import DriveSubmap, ScannedDrive, ScannedMap
-from .submap_alignment import align_submap, sample_walls
+from .submap_alignment import SUBMAP_HEADING_GATES, SUBMAP_OFFSET_GATES, align_submap, sample_walls
 
-# Placements that are compared, those first in which a submap has most wall length on walls of the other map.
-# Origin: chosen, for speed; not measured.
-MAX_PLACEMENTS = 64
 # Candidates at random poses: they show how well places fit that have nothing in common with the drive. Origin: chosen,
 # their cells are some hundred.
 RANDOM_CANDIDATES = 16
-# Metres, metres, radians: standard deviations of a candidate from walls. Origin: chosen, the last offset gate of
-# `submap_alignment`, and half of its last heading gate; not measured.
-ALIGNMENT_SIGMAS = np.array([0.2, 0.2, 0.05])
+# Metres, metres, radians: standard deviations of a candidate from walls. Origin: definition, the last gates of
+# `submap_alignment` in offset, and half of that in heading.
+ALIGNMENT_SIGMAS = np.array([SUBMAP_OFFSET_GATES[-1], SUBMAP_OFFSET_GATES[-1], 0.5 * SUBMAP_HEADING_GATES[-1]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +90,7 @@ def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
         placement = _refine(new, old, submap, pose)
         if all(placement.differs(other) for other in placements):
             placements.append(placement)
-        if len(placements) == MAX_PLACEMENTS:
+        if len(placements) == MAX_CANDIDATES:
             break
     return placements
 

@@ -19,11 +19,11 @@ from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import LocalField
-from ..loop_closure.submap_search import DISTORTION_SIGMAS, build_submap
+from ..loop_closure.submap_search import DISTORTION_SIGMAS, REVISIT_GAP, build_submap
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
-from ..matching.offset_tiles import FIELD_CELL
+from ..matching.offset_tiles import FIELD_CELL, MAX_DISTANCE
 from ..matching.point_costs import points_cost
 from ..matching.scan_points import COLUMNS, lines_of
 from .map_descriptor import MapDescriptor
@@ -37,14 +37,9 @@ MIN_WALL_LENGTH = 3.0
 # Metres between the points kept of a surface, so that evidence does not depend on how often the surface was seen.
 # Origin: chosen, two cells of a distance field; not measured.
 THINNED_SPACING = 2.0 * FIELD_CELL
-# Metres from the outermost point to the border of a distance field. Origin: chosen; not measured.
-FIELD_MARGIN = 2.0
 # Metres from the median position along x and y up to which a map is searched: memory grows with the square, and one
 # keyframe may be far away after a failure of odometry. Origin: chosen, beyond any building.
 MAX_REACH = 1000.0
-# Metres up to which the nearest earlier submap counts: passes of one place are connected, as by closed loops.
-# Origin: chosen; not measured.
-MAX_RELATION_DISTANCE = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +145,7 @@ def scan_map(
         [np.zeros((0, COLUMNS)), *(_transform(pose, own) for pose, own in zip(poses, points, strict=True))]
     )
     low, high = _bounds(moved if len(moved) else poses, poses)
-    field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + FIELD_MARGIN)
+    field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + MAX_DISTANCE)
     field.insert_scans(poses, points)
     grid = _CellGrid.of(low, high, cell)
     return ScannedMap(index, field, grid.sort(thin(moved), np.zeros(3), index.descriptor), grid.count)
@@ -172,7 +167,7 @@ def scan_submap(
     relative = se2.between(poses[-1], poses).reshape(-1, 3)
     farthest = [np.hypot(own[:, 0], own[:, 1]).max(initial=0.0) for own in points]
     reach = min(MAX_REACH, float(np.max(np.hypot(relative[:, 0], relative[:, 1]) + farthest)))
-    built = build_submap(relative, points, reach + FIELD_MARGIN)
+    built = build_submap(relative, points, reach + MAX_DISTANCE)
     return SubmapScan(keyframes, descriptor, thin(built.points), built.field, reach)
 
 
@@ -247,11 +242,14 @@ def _bounds(points: Floats, poses: Floats) -> tuple[Floats, Floats]:
 
 
 def _relations(mapper: Mapper, submaps: Sequence[DriveSubmap]) -> dict[tuple[int, int], tuple[se2.Pose, Floats]]:
-    """Return the relative poses of submaps with the one before and the nearest earlier one, in both directions."""
+    """Return the relative poses of submaps with the one before and the nearest earlier one, in both directions.
+
+    The latter counts if it is nearer than REVISIT_GAP: passes of one place are connected, as by closed loops.
+    """
     relations = {}
     for j in range(1, len(submaps)):
         distances = [math.hypot(*se2.between(one.pose, submaps[j].pose)[:2]) for one in submaps[: j - 1]]
-        near = {int(np.argmin(distances))} if distances and min(distances) < MAX_RELATION_DISTANCE else set()
+        near = {int(np.argmin(distances))} if distances and min(distances) < REVISIT_GAP else set()
         for i in sorted(near | {j - 1}):
             one, other = submaps[i], submaps[j]
             relative = se2.between(one.pose, other.pose)

@@ -13,26 +13,22 @@ from drivers.compiled import compiled, inlined
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
 from ..geometry.small_matrices import solve
-from ..mapping.wall_cells import WALL_CELL
+from ..loop_closure.submap_search import DISTINCT_SHIFT
+from ..mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
+from ..matching.scan_points import FINE_SIGMA
 from .map_descriptor import MapDescriptor
-from .wall_pairs import POSE_CELL
 
 # Metres across between two matched walls, for each Gauss-Newton step; the last step only scores.
 # Origin: chosen, from the cells of the pose votes to the accuracy of a submap; not measured.
 SUBMAP_OFFSET_GATES = np.array([0.8, 0.6, 0.45, 0.3, 0.25, 0.2, 0.2])
 # Radians between two matched walls, for each Gauss-Newton step. Origin: chosen, likewise; not measured.
 SUBMAP_HEADING_GATES = np.radians([12.0, 10.0, 8.0, 7.0, 6.0, 6.0, 6.0])
-# Metres, standard deviation between two maps of one wall in addition to the covariances of both.
-# Origin: chosen; not measured.
-WALL_DIFFERENCE_SIGMA = 0.03
-# Metres by which a wall of the map may continue beyond an observed stretch. Origin: chosen; not measured.
-STRETCH_END_MARGIN = 0.15
 # Per square metre and per square radian: regularises the solution if the walls leave a direction undetermined.
 # Origin: numerical.
 ALIGNMENT_REGULARISATION = 1e-3
-# Metres by which Gauss-Newton may move the submap; bounds the walls that are considered.
-# Origin: chosen, three cells of the pose votes; not measured.
-MAX_ALIGNMENT_SHIFT = 3.0 * POSE_CELL
+# Metres by which Gauss-Newton may move the submap; bounds the walls that are considered. Origin: definition, the
+# neighbourhood of a cell of poses, in which votes are summed.
+MAX_ALIGNMENT_SHIFT = 3.0 * DISTINCT_SHIFT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,8 +198,8 @@ def _relative_information(own, at, other, there, length):  # type: ignore[no-unt
     v00 = own[0, 0] + 2 * at * own[0, 1] + at**2 * own[1, 1]
     v00 += other[0, 0] + 2 * there * other[0, 1] + there**2 * other[1, 1]
     v01 = own[0, 1] + at * own[1, 1] + other[0, 1] + there * other[1, 1]
-    v11 = own[1, 1] + other[1, 1] + 12 * WALL_DIFFERENCE_SIGMA**2 / max(length, WALL_CELL) ** 2
-    v00 += WALL_DIFFERENCE_SIGMA**2
+    v11 = own[1, 1] + other[1, 1] + 12 * FINE_SIGMA**2 / max(length, WALL_CELL) ** 2
+    v00 += FINE_SIGMA**2
     determinant = v00 * v11 - v01 * v01
     return v11 / determinant, -v01 / determinant, v00 / determinant
 
@@ -212,7 +208,7 @@ def _relative_information(own, at, other, there, length):  # type: ignore[no-unt
 def _mark_matched_samples(on_map, samples, begin, end, along, turned, stretches):  # type: ignore[no-untyped-def]
     """Mark the samples of a wall that lie on the stretches of a map's wall, whose frame is `along` metres away."""
     for k in range(begin, end):
-        at = along + samples[k] * math.cos(turned)
+        at, margin = along + samples[k] * math.cos(turned), END_ERROR_CELLS * WALL_CELL
         for p in range(len(stretches)):
-            if stretches[p, 0] - STRETCH_END_MARGIN < at < stretches[p, 1] + STRETCH_END_MARGIN:
+            if stretches[p, 0] - margin < at < stretches[p, 1] + margin:
                 on_map[k] = True

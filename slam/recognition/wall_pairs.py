@@ -17,6 +17,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
+from ..loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN
 from .map_descriptor import MapDescriptor
 
 # Sine of the least angle between two walls that determine a motion: 30 degrees.
@@ -36,13 +37,8 @@ MIN_OVERLAP_SHARE = 0.5
 # Metres of wall, largest vote of one pair, so that the walls of a corridor do not outvote all others.
 # Origin: chosen; not measured.
 MAX_PAIR_VOTE = 2.0
-# Metres, side of a cell of poses. Origin: chosen, below the first offset gate of the alignment; not measured.
-POSE_CELL = 0.5
-# Radians, size of a cell of poses; a divisor of the full turn.
-# Origin: chosen, below the first heading gate of the alignment; not measured.
-POSE_CELL_TURN = math.radians(6.0)
-# Cells around the full turn. Origin: definition.
-HEADING_CELLS = round(2 * math.pi / POSE_CELL_TURN)
+# Cells of poses around the full turn; they are as large as poses differ that are the same place. Origin: definition.
+HEADING_CELLS = round(2 * math.pi / DISTINCT_TURN)
 # Cells with most votes whose neighbourhoods are summed. Origin: chosen, for speed; not measured.
 MAX_SUMMED_CELLS = 600
 # Offsets (27, 3) of a cell and its neighbours. Origin: definition.
@@ -78,7 +74,7 @@ def vote_for_poses(submap: MapDescriptor, pairs: Floats, max_poses: int) -> Floa
 def _strongest_poses(votes: Floats, max_poses: int) -> Floats:
     """Return the mean poses (k, 3) of the votes (v, 4) in the cells with most votes in their neighbourhoods."""
     origin = votes[:, :2].min(axis=0)
-    cells = np.column_stack([(votes[:, :2] - origin) // POSE_CELL, votes[:, 2] // POSE_CELL_TURN]).astype(np.int64)
+    cells = np.column_stack([(votes[:, :2] - origin) // DISTINCT_SHIFT, votes[:, 2] // DISTINCT_TURN]).astype(np.int64)
     rows = int(cells[:, 1].max()) + 3  # an empty row on either side separates the columns
     keys = _cell_keys(cells, rows)
     order = np.argsort(keys, kind="stable")
