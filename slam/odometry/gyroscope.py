@@ -12,6 +12,7 @@ from drivers.messages import Odometry, YawRate
 from features.normal_limits import NORMAL_LIMIT
 
 from .arc import with_turn
+from .measurement_clock import MAX_PERIOD
 
 # Radians per second: standard deviation of the bias before any driving. Origin: data sheets of inexpensive gyroscopes,
 # 1 degree per second.
@@ -24,9 +25,6 @@ SCALE_SIGMA = 0.01
 # Seconds over which turns are compared: the longer, the less the headings at both ends matter. Origin: chosen; not
 # measured.
 COMPARISON_INTERVAL = 2.0
-# Seconds without a rate after which the gyroscope is silent, and the wheels count. Origin: chosen, several periods of
-# the slowest gyroscopes; not measured.
-MAX_SILENCE = 0.2
 # Seconds of rates that are kept. Origin: chosen, longer than scans wait for odometry; not measured.
 MEMORY = 30.0
 
@@ -62,7 +60,7 @@ class Gyroscope:
             if reading.stamp <= stamp:
                 return
             angle = before + 0.5 * (rate + reading.rate) * (reading.stamp - stamp)
-            if reading.stamp - stamp > MAX_SILENCE:
+            if reading.stamp - stamp > MAX_PERIOD:
                 self._rates.clear()
         self._rates.append((reading.stamp, reading.rate, angle))
         while self._rates[0][0] < reading.stamp - MEMORY:
@@ -111,7 +109,7 @@ class Gyroscope:
     def _angle(self, stamp: float) -> float | None:
         """Return the angle at a stamp, linear between rates; None if there are none near it."""
         rates = self._rates
-        if not rates or not rates[0][0] <= stamp <= rates[-1][0] + MAX_SILENCE:
+        if not rates or not rates[0][0] <= stamp <= rates[-1][0] + MAX_PERIOD:
             return None
         k = len(rates) - 1
         while rates[k][0] > stamp:

@@ -14,10 +14,8 @@ from drivers.messages import Odometry
 from ..geometry.growing_array import GrowingArray
 from ..geometry.normal_distribution import NORMAL_SCALE
 from ..geometry.segments import Floats
+from .measurement_clock import USUAL_PERIOD
 
-# Seconds over which the velocity at the first readings is measured, and between readings that are added before them.
-# Origin: chosen, several periods of common bases; not measured.
-EVEN_SECONDS = 0.1
 # Seconds before the first reading for which the robot is taken to have moved evenly: before, it is taken to have stood.
 # Origin: chosen, a little longer than an Arduino boots when its port is opened.
 MAX_EXTENSION = 2.0
@@ -72,13 +70,13 @@ class OdometryHistory:
         if len(self) < 2:
             return
         first, pose = self.earliest, self._pose(0)
-        span = min(EVEN_SECONDS, self.latest - first)
-        back = se2.inverse(EVEN_SECONDS / span * se2.between(pose, self.at(first + span)))
+        span = min(USUAL_PERIOD, self.latest - first)
+        back = se2.inverse(USUAL_PERIOD / span * se2.between(pose, self.at(first + span)))
         stamps, poses, begin = list[float](), list[se2.Pose](), max(stamp, first - MAX_EXTENSION)
-        for k in range(math.ceil((first - begin) / EVEN_SECONDS)):
-            later = first - k * EVEN_SECONDS
-            part = min(later - begin, EVEN_SECONDS)
-            pose = se2.compose(pose, part / EVEN_SECONDS * back)
+        for k in range(math.ceil((first - begin) / USUAL_PERIOD)):
+            later = first - k * USUAL_PERIOD
+            part = min(later - begin, USUAL_PERIOD)
+            pose = se2.compose(pose, part / USUAL_PERIOD * back)
             stamps.insert(0, later - part)
             poses.insert(0, pose)
         if stamp < stamps[0]:

@@ -12,6 +12,11 @@ PERIOD_SAMPLES = 101
 # Seconds. Smallest period of a lidar: in a shorter time the stamps of a burst follow each other.
 # Origin: definition, the fastest two-dimensional lidars measure 100 scans per second; half of their period.
 MIN_PERIOD = 0.005
+# Seconds between two measurements of a common lidar, which turns ten times a second; other sensors measure more often,
+# and robots hardly change their acceleration meanwhile. Origin: chosen; not measured.
+USUAL_PERIOD = 0.1
+# Seconds between two measurements of the slowest lidars and gyroscopes. Origin: chosen; not measured.
+MAX_PERIOD = 0.25
 # Share of the period below which the interval between two stamps shows that they come in bursts. Not half: a log
 # without some of its scans has intervals of one, two and three periods. Origin: chosen; not measured.
 MIN_INTERVAL = 0.25

@@ -26,15 +26,15 @@ from features.normal_limits import NORMAL_LIMIT
 from ..geometry.segments import Floats
 from .error_model import OdometryModel
 from .history import OdometryHistory
+from .measurement_clock import USUAL_PERIOD
 
 # Seconds to either side for the derivative, or the interval of odometry's readings if that is longer: j and z must not
 # share readings. Origin: chosen, the motors of robots need longer than the 0.3 s of j and z to change their speed.
 STEP = 0.05
 # Gauss-Newton steps; the second one changes a delay of 0.1 s by a hundredth. Origin: numerical.
 ITERATIONS = 4
-# Seconds; standard deviation of the delay before the drive. Origin: chosen, one period of slow lidars; longer delays
-# are found before the run.
-PRIOR_SIGMA = 0.1
+# Seconds; standard deviation of the delay before the drive: longer delays than a period are found before the run.
+PRIOR_SIGMA = USUAL_PERIOD
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,14 +23,12 @@ from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
+from ..odometry.measurement_clock import USUAL_PERIOD
 from ..odometry.smoothing import smoothed_poses
 
 # Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
 # odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
 KNOT_INTERVAL = 0.0125
-# Seconds in the middle of the sweep that the reference is fitted to: robots hardly change their acceleration meanwhile.
-# Origin: chosen, a revolution of common lidars; not measured.
-REFERENCE_INTERVAL = 0.1
 # Metres of wheel travel over a sweep below which the robot counts as standing: 0.2 mm of jitter at either wheel looks
 # like a milliradian of turning, would bend the scan, and the first keyframe, which defines the map, is nearly always
 # taken standing. Origin: measured; the data are not recorded.
@@ -123,7 +121,7 @@ def deskew(
     """Transform every beam of a scan to the lidar's pose in the middle of its sweep, with odometry's motion.
 
     The motion is smoothed (see `smoothed_poses`). The reference is the middle of a motion at constant acceleration that
-    is fitted to it within REFERENCE_INTERVAL, as the random error of odometry in the middle would turn the whole scan.
+    is fitted to it within USUAL_PERIOD, as the random error of odometry in the middle would turn the whole scan.
     The two differ by what the `model` states; a larger difference is a sudden change of speed, and is limited.
     `range_bias` (metres) is subtracted from all ranges, and the systematic errors of odometry are corrected by the
     `model`. Without a model, the reference is odometry in the middle.
@@ -143,7 +141,7 @@ def deskew(
     if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
         return DeskewedScan(middle, reference, ranges, scan.angles, SweepMotion.standing(len(ranges)))
     times = offsets - 0.5 * duration
-    central = np.abs(times) <= 0.5 * REFERENCE_INTERVAL
+    central = np.abs(times) <= 0.5 * USUAL_PERIOD
     error, fitted = np.zeros(3), 0.0
     if model is not None:
         fitted = float(times[central][-1])
@@ -197,15 +195,15 @@ def _travelled(poses: Floats, offsets: Floats, wanted: Floats) -> Floats:
 def _breakpoints(odometry: OdometryHistory, begin: float, end: float) -> Floats:
     """Return (m + 1,) stamps between which odometry's error changes evenly, from before a sweep until after it.
 
-    These are the stamps of the readings. Where readings are farther apart than REFERENCE_INTERVAL, during which robots
+    These are the stamps of the readings. Where readings are farther apart than USUAL_PERIOD, during which robots
     move smoothly, stamps between them are added.
     """
-    stamps, _ = odometry.readings_between(begin - REFERENCE_INTERVAL, end)
+    stamps, _ = odometry.readings_between(begin - USUAL_PERIOD, end)
     inside = stamps[(stamps > begin) & (stamps < end)]
-    first = max(stamps[stamps <= begin], default=begin - REFERENCE_INTERVAL)
-    last = min(min(stamps[stamps >= end], default=np.inf), end + REFERENCE_INTERVAL)
+    first = max(stamps[stamps <= begin], default=begin - USUAL_PERIOD)
+    last = min(min(stamps[stamps >= end], default=np.inf), end + USUAL_PERIOD)
     stamps = np.concatenate([[first], inside, [last]])
-    parts = np.ceil(np.diff(stamps) / REFERENCE_INTERVAL).astype(int)
+    parts = np.ceil(np.diff(stamps) / USUAL_PERIOD).astype(int)
     return np.asarray(np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), stamps))
 
 

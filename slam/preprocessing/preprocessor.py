@@ -17,7 +17,8 @@ from ..mapping.trajectory_builder import SAME_STAMP
 from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import EVEN_SECONDS, OdometryHistory
+from ..odometry.history import OdometryHistory
+from ..odometry.measurement_clock import USUAL_PERIOD
 from ..odometry.velocity import VelocityFilter
 from .deskew import sweep_middle
 from .lidar_features import LidarFeatures, joined
@@ -123,7 +124,7 @@ class Preprocessor:
         if queue.is_empty or not len(odometry):  # as after most messages
             return None
         if queue.earliest < odometry.earliest and not self._predicts_odometry:
-            if not flush and not queue.is_full and odometry.latest < odometry.earliest + EVEN_SECONDS:
+            if not flush and not queue.is_full and odometry.latest < odometry.earliest + USUAL_PERIOD:
                 return None
             odometry.extend_back(queue.earliest)
         return queue.take(odometry.latest, flush=flush)

@@ -14,6 +14,7 @@ import numpy as np
 
 from drivers.messages import Scan
 
+from ..odometry.measurement_clock import MAX_PERIOD, USUAL_PERIOD
 from .deskew import sweep_middle
 
 # Scans that wait, and seconds between the first and the last of them, above both of which odometry is not waited for:
@@ -26,16 +27,12 @@ MAX_QUEUED_SCANS, MAX_QUEUED_SECONDS = 20, 10.0
 WINDOW = (-0.75, 0.5)
 # The same without odometry: motions are predicted to the end of the first lidar's sweep only. Origin: as WINDOW.
 WINDOW_WITHOUT_ODOMETRY = (-1.25, 0.0)
-# Seconds between two scans of a lidar, as long as they are not known, and at most: scans that are farther apart are not
-# paired. Origin: chosen, the periods of common and of slow lidars.
-USUAL_INTERVAL, MAX_INTERVAL = 0.1, 0.25
 # Intervals whose median is used. Origin: chosen; scans that are stamped when they are sent come in bursts.
 INTERVALS = 5
 # Share of an interval after which the next scan is expected at the earliest. Origin: definition, as for WINDOW.
 EARLIEST = -WINDOW[0]
-# Seconds without a scan of the second lidar from which on it is not waited for. Origin: chosen, several periods of
-# common lidars, and much less than MAX_QUEUED_SECONDS.
-MAX_ABSENCE = 0.4
+# Seconds without a scan of the second lidar from which on it is not waited for. Origin: definition, two missing scans.
+MAX_ABSENCE = 2.0 * MAX_PERIOD
 
 
 class ScanPair(NamedTuple):
@@ -155,7 +152,7 @@ def _end(scan: Scan) -> float:
 
 
 def _interval(middles: deque[float] | list[float]) -> float:
-    """Return the median of the seconds between scans, MAX_INTERVAL at most."""
+    """Return the median of the seconds between scans, MAX_PERIOD at most: scans farther apart are not paired."""
     if len(middles) < 2:
-        return USUAL_INTERVAL
-    return min(float(np.median(np.diff(middles))), MAX_INTERVAL)
+        return USUAL_PERIOD
+    return min(float(np.median(np.diff(middles))), MAX_PERIOD)

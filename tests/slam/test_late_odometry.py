@@ -10,7 +10,8 @@ from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.evaluation.metrics import score_reference
 from slam.io.tum import Trajectory
-from slam.odometry.history import EVEN_SECONDS, MAX_EXTENSION, OdometryHistory
+from slam.odometry.history import MAX_EXTENSION, OdometryHistory
+from slam.odometry.measurement_clock import USUAL_PERIOD
 
 BOOTING = 1.5
 """Seconds of scans without odometry."""
@@ -64,7 +65,7 @@ def test_before_its_first_reading_the_robot_is_taken_to_have_moved_evenly_for_a_
         expected = [radius * np.sin(turn), radius * (1.0 - np.cos(turn)), turn]
         assert history.at(stamp) == pytest.approx(expected, abs=1e-3)
     assert history.at(long_ago) == pytest.approx(history.at(10.0 - MAX_EXTENSION))
-    assert len(history) == count + round(MAX_EXTENSION / EVEN_SECONDS) + 1
+    assert len(history) == count + round(MAX_EXTENSION / USUAL_PERIOD) + 1
 
 
 def test_nothing_is_added_before_the_wanted_stamp() -> None:
