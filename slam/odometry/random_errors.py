@@ -16,7 +16,7 @@ from ..geometry.segments import Floats
 from .systematic_errors import PRIOR_SAMPLES, is_turn
 
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
-# or 0.1 mrad in a metre. Origin: chosen, far below real wheels; not measured.
+# or 0.1 mrad in a metre. Origin: numerical, far below real wheels.
 MIN_VARIANCE_RATE = 1e-8
 # Radians: drift of the heading by turning one radian, before any driving. Origin: measured, 0.02 to 0.12 on recordings
 # of nine robots.

@@ -18,7 +18,7 @@ from .smoothing import smooth_trajectory
 # Maximum number of iterations. Origin: measured, on recordings a fourth still changes
 # single associations but does not improve the trajectory.
 MAX_ITERATIONS = 3
-# Metres; the iteration has converged if no keyframe moves farther. Origin: chosen; not measured.
+# Metres; the iteration has converged if no keyframe moves farther. Origin: numerical.
 CONVERGED_SHIFT = 0.001
 
 

@@ -9,13 +9,13 @@ from ...geometry.segments import Floats
 from .least_squares import NormalEquations, edge_chi2
 from .model import PoseGraph
 
-# Maximum number of steps. Origin: chosen, a safeguard; not measured.
+# Maximum number of steps. Origin: numerical, a safeguard.
 MAX_STEPS = 100
 # Relative decrease of chi2 below which a step is the last one. Origin: numerical, far below the 0.5 % by which optima
 # are compared.
 CONVERGED_DECREASE = 1e-9
 # Initial damping relative to the diagonal: nearly Gauss-Newton; it increases at once if that fails.
-# Origin: chosen, Nielsen's recommendation for a good initial estimate; not measured.
+# Origin: numerical, Nielsen's recommendation for a good initial estimate.
 INITIAL_DAMPING = 1e-6
 # Damping relative to the diagonal at which the search ends. Origin: numerical.
 MAX_DAMPING = 1e12

@@ -12,7 +12,7 @@ from ...geometry.segments import Floats, Integers
 from .model import PoseGraph
 
 # Metres; a landmark whose bearings do not intersect is placed at this distance along the first one.
-# Origin: chosen, any value serves as an initial estimate; not measured.
+# Origin: numerical, any value serves as an initial estimate.
 DEFAULT_RANGE = 1.0
 # Weight of that position relative to a bearing: it matters if all bearings are parallel to within 0.01 rad.
 # Origin: numerical.
