@@ -6,8 +6,9 @@ import numpy as np
 
 from slam.geometry.segments import Floats
 from slam.mapping.mapper import Mapper
+from slam.matching.offset_tiles import MAX_DISTANCE
 from slam.recognition.map_index import index_map
-from slam.recognition.scanned_map import FIELD_MARGIN, MAX_REACH, ScannedMap, scan_map
+from slam.recognition.scanned_map import MAX_REACH, ScannedMap, scan_map
 
 WALL = np.column_stack(
     [np.linspace(-3.0, 3.0, 61), np.full(61, 2.0), np.zeros(61), np.full(61, -1.0), np.zeros(61), np.ones(61)]
@@ -24,7 +25,7 @@ def scanned(positions: list[list[float]]) -> ScannedMap:
 def test_a_keyframe_that_is_far_away_needs_no_memory_for_the_space_between() -> None:
     near = [[float(k), 0.0] for k in range(5)]
     usual, spoiled = scanned(near), scanned([*near, [50e3, -80e3]])
-    half_width = MAX_REACH + FIELD_MARGIN
+    half_width = MAX_REACH + MAX_DISTANCE
     assert np.abs(spoiled.field.centre - usual.field.centre).max() < half_width
     assert len(spoiled.field.seen) ** 2 < 1e8
     assert spoiled.cells < 1e7
