@@ -91,6 +91,8 @@ class FollowedMotion:
         before = np.zeros(3) if self.apart is None else self.apart
         if float(wheel_travel(se2.between(predicted.pose, pose) - before)) < FIELD_CELL:
             return replace(self, start=pose) if self.apart is None else self
+        if not self._stands_still(predicted.pose, pose):  # as a rule; a comparison takes long
+            return None
         match, evidence = compare(predicted, pose)
         followed = predicted.pose if match is None else match.pose
         total = self.evidence + evidence - 0.5 * predicted.squared_distance(followed)
