@@ -1,9 +1,10 @@
 """Hypothesis that odometry stands still for some scans in a row, while the robot moves on evenly.
 
-Of a slow robot, or of a lidar that measures often, one scan is no evidence: between two scans the robot moves by less
-than the map is exact. Then the estimate stands as odometry does, and a motion at its velocity is no alternative any
-more. So the pose of a robot that moves on as before is followed beside that by odometry, and the evidence of the scans
-against odometry is added up. The sequential test of Wald ends if it is against an even motion.
+If the robot is slow, or the lidar measures often, one scan is no evidence: between two scans the robot moves by less
+than the errors of the map. So the estimate stands still with odometry, its velocity becomes zero, and a motion at this
+velocity is no alternative any more. Therefore the pose of a robot that moves on evenly is followed beside that by
+odometry, and the evidence of the scans against odometry is added up (sequential test of Wald). The hypothesis is
+refuted if the sum contradicts it.
 
 Scans are compared again after the two poses have come a cell farther apart, or closer together: until then the same
 points meet the same surfaces, and repeat the errors of these. That wheels spin while the robot stands is not tested in
@@ -32,9 +33,7 @@ from .odometry_comparison import GROSS_SHARE
 from .prediction_error import PREDICTION_SIGMAS
 
 Compare: TypeAlias = Callable[[Prediction, se2.Pose], tuple[PointMatch | None, float]]
-"""Matches the points of a scan near a prediction; returns the match, and the evidence (nats) for it against a pose.
-
-If the match leads to that pose, it is None, and the evidence is that for the predicted pose."""
+"""Compares a scan at a prediction and at a pose by odometry, see `MatchTarget.compare`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,12 +41,12 @@ class FollowedMotion:
     """Pose of a robot that has moved on evenly, whatever odometry says.
 
     start     [x, y, heading] of the base in the map when odometry last agreed with the even motion
-    pose      the same at the last comparison, or at the begin
-    velocity  at the begin
-    seconds   since then
-    duration  seconds since the begin
-    apart     (3,) pose by odometry as seen from the followed one at the last comparison; None at the begin
-    evidence  (nats) against odometry, of the scans since the begin
+    pose      the same at the last comparison; before the first one, when the hypothesis began
+    velocity  when the hypothesis began
+    seconds   time since `pose`
+    duration  time since the hypothesis began, seconds
+    apart     (3,) pose by odometry relative to the followed one at the last comparison; None before the first one
+    evidence  (nats) of all compared scans against odometry
     """
 
     start: se2.Pose
@@ -78,20 +77,23 @@ class FollowedMotion:
         return Prediction(se2.compose(self.pose, self.velocity.motion(self.seconds)), information_of(sigmas), cost)
 
     @property
-    def lost(self) -> bool:
-        """True if the robot may be farther away than poses are searched."""
+    def is_too_uncertain(self) -> bool:
+        """True if the robot may be farther from the followed pose than poses are searched."""
         sigma = math.sqrt(float(self.velocity.variances[:2].max()))
         return NORMAL_LIMIT * sigma * self.duration > MAX_SEARCH_SHIFT
 
     def compared(self, pose: se2.Pose, compare: Compare) -> FollowedMotion | None:
-        """Return the hypothesis after a scan that was tracked at a `pose` by odometry; None if it is refuted."""
-        predicted = self.prediction()
-        if self.lost:
+        """Return the hypothesis after a scan that was tracked at a `pose` by odometry.
+
+        Returns None if the hypothesis is refuted, or too uncertain to be followed any farther.
+        """
+        if self.is_too_uncertain:
             return None
+        predicted = self.prediction()
         before = np.zeros(3) if self.apart is None else self.apart
         if float(wheel_travel(se2.between(predicted.pose, pose) - before)) < FIELD_CELL:
             return replace(self, start=pose) if self.apart is None else self
-        if not self._stands_still(predicted.pose, pose):  # as a rule; a comparison takes long
+        if not self._stands_still(predicted.pose, pose):  # true of most scans: the comparison takes longer
             return None
         match, evidence = compare(predicted, pose)
         followed = predicted.pose if match is None else match.pose

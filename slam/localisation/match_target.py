@@ -144,12 +144,12 @@ class MatchTarget:
     def compare(self, points: Floats, prediction: Prediction, pose: se2.Pose) -> tuple[PointMatch | None, float]:
         """Return the match of points (p, 6) near a prediction, and the evidence (nats) for it against a pose.
 
-        If the match leads to that pose, it is None, and the evidence is that for the predicted pose. So it is if all of
-        the map is against the prediction. Otherwise only the last metres count, if anything was mapped there: an older
-        map may have been made at another pose, and look like a slip.
+        Returns no match, and the evidence for the predicted pose itself, if the match leads to the pose that it is
+        compared with, or if all points of the map contradict the prediction. Otherwise only what was mapped in the last
+        metres counts: what an earlier pass mapped at a displaced pose would look like a slip.
         """
         if (evidence := self._evidence(points, pose, prediction.pose)) <= -MIN_EVIDENCE:
-            return None, evidence  # as a rule; the field of the last metres takes long to build
+            return None, evidence  # true of most scans: the field of the last metres takes long to build
         target = self if self.recent is None else replace(self, field=self.recent())
         match = match_from(target.field, points, prediction.pose, prediction)
         if np.all(np.abs(se2.between(match.pose, pose)) < PREDICTION_SIGMAS):

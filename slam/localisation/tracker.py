@@ -24,7 +24,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
-from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction, information_of
+from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, information_of
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
 from ..odometry.velocity import VelocityFilter
@@ -165,7 +165,11 @@ class Tracker:
         if status is TrackingStatus.TRACKED:
             self._small_objects.add(scan, result.pose, target.field, self._predictor.interval)
         is_certain = partial(target.excludes, points=points, pose=match.points.pose)
-        self._update(result, evidence, odometry, is_certain, partial(target.compare, lasting_points(scan)))
+
+        def compare(prediction: Prediction, pose: se2.Pose) -> tuple[PointMatch | None, float]:
+            return target.compare(lasting_points(scan), prediction, pose)
+
+        self._update(result, evidence, odometry, is_certain, compare)
         return result
 
     def _match(self, scan: ScanFeatures, points: Floats, predictions: Predictions, target: MatchTarget) -> ScanMatch:

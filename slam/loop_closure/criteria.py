@@ -62,10 +62,11 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, join
     is a rival, once the robot has driven as far as its position may be wrong, so the looks must show this distance.
     The first one shows the drive before it, too, up to the length of a submap. How far the position may be wrong is
     known best at the first look: all looks imply about the same motion, so the uncertainty that is added on the way
-    between them does not matter. Furniture that was moved may look like another
-    place in all looks that show it. So the looks must extend over the length of a submap as well if the hypothesis
-    leads to another place, if the estimate is in doubt, or if parts of the map are joined, for which there is no
-    estimate.
+    between them does not matter.
+
+    Furniture that was moved may look like another place in all looks that show it. So the looks must extend over the
+    length of a submap as well if the hypothesis leads to another place, if the estimate is in doubt, or if parts of the
+    map are joined, for which there is no estimate.
 
     look     the last one
     against  number of looks that contradict the hypothesis
@@ -74,7 +75,7 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, join
     count, first, old = len(hypothesis.support), hypothesis.support[0], hypothesis.support[-1].old
     elsewhere = joins or look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
     least, shortest = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere else (MIN_SUPPORT, 0.0)
-    span = max(shortest, NORMAL_LIMIT * look.deviation_at(first) - look.way_shown_before(first))
+    span = max(shortest, NORMAL_LIMIT * look.deviation_at(first) - look.distance_shown_before(first))
     checks = [
         Check("support", count, least, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),

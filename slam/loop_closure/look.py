@@ -22,7 +22,7 @@ from .decision import LoopMatch
 from .loop_hypothesis import OldPlace
 from .relative_uncertainty import MAX_SQUARED_DISTANCE, SEARCH_DEVIATIONS, UNMODELLED_SIGMAS, RelativeUncertainty
 from .submap_search import REVISIT_GAP, SUBMAP_LENGTH, Submap, SubmapMatch, improve, search_submap
-from .submaps import Submaps, build_place
+from .submaps import Submaps, submap_of
 
 # Metres of driving between two looks. Origin: chosen, a third of a submap; not measured.
 SEARCH_INTERVAL = SUBMAP_LENGTH / 3.0
@@ -99,7 +99,7 @@ class Look:
         if self._submap is None:
             recent = self._ways > self._ways[self.last] - SUBMAP_LENGTH
             recent[self.last + 1 :] = False
-            self._submap = build_place(self._place(np.flatnonzero(recent), self.last), self._field)
+            self._submap = submap_of(self._place(np.flatnonzero(recent), self.last), self._field)
         return self._submap
 
     def old_submap(self, old: int) -> Submap:
@@ -191,9 +191,9 @@ class Look:
         return recent, se2.transform(self._mapper.keyframe_poses[old], self.old_submap(old).points[:, :2])
 
     def deviation_at(self, match: LoopMatch) -> float:
-        """Return the largest standard deviation (metres) that the estimate has of the position of a match.
+        """Return the standard deviation (metres) of the estimated position at a match, in the worst direction.
 
-        match  of this look, or of an earlier one
+        match  of this look, or of an earlier one; the position is relative to the match's old place
         """
         if match.keyframe == self.last:
             return self.uncertainty.deviation(match.old)
@@ -203,8 +203,8 @@ class Look:
             self._deviations[place] = uncertainty.deviation(match.old)
         return self._deviations[place]
 
-    def way_shown_before(self, match: LoopMatch) -> float:
-        """Return the metres of driving before a match that its submap shows, in this part of the map."""
+    def distance_shown_before(self, match: LoopMatch) -> float:
+        """Return the metres of driving before a match that its submap shows; it does not reach into another part."""
         return min(SUBMAP_LENGTH, match.travelled - float(self._travelled[self.first_of_part]))
 
     def keyframe_at(self, travelled: float) -> int:

@@ -21,7 +21,7 @@ class Submaps:
         """Build the submaps of saved `places`; `local_field` has the points of all keyframes."""
         self._submaps: dict[int, tuple[OldPlace, Submap]] = {}
         if local_field is not None:
-            self._submaps = {centre: (place, build_place(place, local_field)) for centre, place in places}
+            self._submaps = {centre: (place, submap_of(place, local_field)) for centre, place in places}
 
     def copy(self) -> Submaps:
         """Return an independent copy; submaps are never changed and are shared."""
@@ -39,11 +39,11 @@ class Submaps:
         if (kept := self._submaps.pop(keyframe, None)) is None:
             place = place_around(keyframe)
             self._submaps = dict([*self._submaps.items()][1 - MAX_SUBMAPS :])
-            kept = place, build_place(place, local_field)
+            kept = place, submap_of(place, local_field)
         self._submaps[keyframe] = kept  # the last one now
         return kept[1]
 
 
-def build_place(place: OldPlace, local_field: LocalField) -> Submap:
-    """Build the submap of a place."""
+def submap_of(place: OldPlace, local_field: LocalField) -> Submap:
+    """Return the submap of a place."""
     return build_submap(place.poses, local_field.points_of(place.keyframes), FIELD_HALF_WIDTH)

@@ -347,6 +347,15 @@ def test_match_that_corrects_the_estimate_a_little_is_a_hypothesis_and_no_contra
     assert not agreement.state.contradictions
 
 
+def test_the_submap_of_a_match_does_not_show_what_was_driven_in_another_part() -> None:
+    state = StubMap(np.diag(SIGMAS**2))
+    look, matches = matches_along_a_hall(state, [0.0] * 5)
+    assert look.distance_shown_before(matches[0]) == SUBMAP_LENGTH
+    first = matches[0].keyframe - 4
+    state.landmarks.parts.begin(first, measured=True)
+    assert look.distance_shown_before(matches[0]) == matches[0].travelled - state.travelled[first]
+
+
 def test_looks_that_contradict_the_others_do_not_count() -> None:
     """One match slid along a wall by 1.5 m, which odometry between the looks does not admit."""
     state = StubMap(np.diag([0.05, 0.05, 0.01]) ** 2)
