@@ -27,6 +27,9 @@ from .scanned_map import ScannedDrive, ScannedMap
 
 # Rival placements that a refusal names. Origin: chosen, for a message of some lines.
 MAX_NAMED_RIVALS = 3
+# Mean share, 0 to 1, of the surfaces in a drive's scans that are in space the map has not seen, if the drive is where
+# it was placed. Origin: measured, XXX
+MEAN_UNMAPPED = 0.09
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,14 +37,14 @@ class Expectation:
     """Knowledge about the place of a drive before it is searched for, and what a decision requires.
 
     prior   probability that the drive is in the map
-    mapped  least share, 0 to 1, of the surfaces in the drive's scans that must be in space the map has seen. If less is
-            mapped, much of the building is not mapped either, and a place there may look like one in the map.
     error   largest probability of a wrong decision, if cells are independent; neighbouring ones are not quite
+    whole   true if the map is expected to contain all that the drive shows. If less is mapped, much of the building is
+            not mapped either, and a place there may look like one in the map.
     """
 
     prior: float
-    mapped: float
     error: float
+    whole: bool = True
 
     @property
     def required(self) -> float:
@@ -50,25 +53,22 @@ class Expectation:
 
 
 # Of a robot that is said to be in a map. Origin: prior chosen, statements are right 19 times of 20; else as LOST.
-STATED = Expectation(prior=0.95, mapped=0.8, error=0.001)
+STATED = Expectation(prior=0.95, error=0.001)
 # Of a robot that has lost its pose, and may have been carried out of the map. Origin: prior by definition, nothing is
-# known; share measured, at right places 0.82 to 1 in recordings of six buildings, 0.5 to 0.79 at 12 of 14 places that
-# were taken for equal ones which were not mapped; error chosen, with 0.01 drives were put at the wrong one of two equal
-# places.
-LOST = Expectation(prior=0.5, mapped=0.8, error=0.001)
+# known; error chosen, with 0.01 drives were put at the wrong one of two equal places.
+LOST = Expectation(prior=0.5, error=0.001)
 # Of a drive that looks at old places have recognised about where the estimate has it. Origin: as LOST, but looks have
 # compared what is mapped.
-RETURNED = Expectation(prior=0.5, mapped=0.0, error=0.001)
-# Likewise, at another place. Origin: share as LOST, the right place may not be mapped yet; error by definition, the
-# square: a surface that both maps show is a cell of each. So furniture that was moved together counts twice, and to
-# follow it would bend the map.
-RECOGNISED = Expectation(prior=0.5, mapped=LOST.mapped, error=RETURNED.error**2)
+RETURNED = Expectation(prior=0.5, error=0.001, whole=False)
+# Likewise, at another place. Origin: error by definition, the square: a surface that both maps show is a cell of each.
+# So furniture that was moved together counts twice, and to follow it would bend the map.
+RECOGNISED = Expectation(prior=0.5, error=RETURNED.error**2)
 # Likewise, where the robot can only be if the estimate's covariance is wrong. Origin: definition, the share of right
 # covariances that a test at the usual level of significance takes for wrong ones.
-DOUBTED = Expectation(prior=0.05, mapped=LOST.mapped, error=RECOGNISED.error)
+DOUBTED = Expectation(prior=0.05, error=RECOGNISED.error)
 # Of a session that may overlap with another one in a part, or not. Origin: chosen, a smaller error than that of a
 # robot, whose further scans can contradict the decision.
-OVERLAP = Expectation(prior=0.5, mapped=0.0, error=0.0001)
+OVERLAP = Expectation(prior=0.5, error=0.0001, whole=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,21 +121,20 @@ class Location:
 def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation, near: Uncertainty | None = None) -> Location:
     """Search for a drive in a map, or `near` the place that it has there already, and decide on its placement.
 
-    Before, the drive is in the map with the `expected` probability, at each of its places with the same one; else it
-    is at an unknown place. By Bayes' theorem, the evidence of each placement gives its probability, and the sum over
-    those that have a submap at the same place gives the probability of that place. Submaps are accepted at the best
-    placement if it is wrong with a probability of at most `expected.error`. So a drive that fits in several places is
-    refused, however well it fits in each.
+    Before, the drive is in the map with the `expected` probability: at each of its places with the same one, or with
+    that of the uncertainty `near` its own place. Else it is at an unknown place. By Bayes' theorem, the evidence of
+    each placement gives its probability, and the sum over those that have a submap at the same place gives the
+    probability of that place. Submaps are accepted at the best placement if it is wrong with a probability of at most
+    `expected.error`. So a drive that fits in several places is refused, however well it fits in each.
     """
     placements, count = find_placements(new, old, near), len(new.submaps)
     if not placements:
         reason = f"none of its {count} submaps lies on walls of it"
         return Location(count, (), -math.inf, expected.required, -math.inf, reason)
-    places = number_of_places(old.seen_area, near)
-    comparison = _Comparison(new, old, placements, expected, places)
+    comparison = _Comparison(new, old, placements, expected, near)
     odds = [comparison.odds(row) for row in range(count)]
     certain = [row for row in comparison.fitting() if odds[row] >= expected.required]
-    members = [comparison.place(row) for row in certain] if comparison.mapped >= expected.mapped else []
+    members = [comparison.place(row) for row in certain] if comparison.mapped >= comparison.least_mapped else []
     decided = Location(count, members, max(odds), expected.required, comparison.support, "")
     return replace(decided, reason=comparison.reason(decided))
 
@@ -149,6 +148,19 @@ def number_of_places(area: float, near: Uncertainty | None) -> float:
     return volume / (2.0 * DISTINCT_SHIFT) ** 2 / (2.0 * DISTINCT_TURN)
 
 
+def least_mapped(log_density: float) -> float:
+    """Return the least share of what a drive shows that must be mapped, lest its place be one that is not mapped.
+
+    A place that is not mapped may look exactly like that of the placement. There, any share of what the drive shows is
+    mapped with the same probability; at the right place, the share that is not mapped is distributed exponentially. The
+    right place must be the more likely one of both, given this share and the uncertainty of the drive. Above 1 if it
+    never is.
+
+    log_density  of the placement by the uncertainty of the drive, see `Uncertainty.log_density`; 0 if there is none
+    """
+    return 1.0 - MEAN_UNMAPPED * (log_density - math.log(MEAN_UNMAPPED))
+
+
 class _Comparison:
     """Placements of a drive with the fits and the evidence of each."""
 
@@ -158,20 +170,27 @@ class _Comparison:
         old: ScannedMap,
         placements: Sequence[Placement],
         expected: Expectation,
-        places: float,
+        near: Uncertainty | None,
     ) -> None:
         self._new, self._old, self._placements, self._expected = new, old, placements, expected
         self._fits = [compare_cells(new, old, placement) for placement in placements]
         chances = chances_of_fit(self._fits)
+        self._densities = [0.0 if near is None else near.log_density(new.submaps[-1], p.poses[-1]) for p in placements]
         self._evidence = np.array([evidence_of(*pair) for pair in zip(self._fits, chances, strict=True)])
+        self._evidence += self._densities
         self._best = int(np.argmax(self._evidence))
-        self._log_places = math.log(max(1.0, places))
+        self._log_places = math.log(max(1.0, number_of_places(old.seen_area, near)))
         self._unknown = self._log_places + math.log((1.0 - expected.prior) / expected.prior)
         points = [submap.points.points for submap in new.submaps]
         poses = placements[self._best].poses
         costs = [point_cost(old.field, some, pose) for some, pose in zip(points, poses, strict=True)]
         self._fitting = [(fit, known / max(1, len(some))) for (_, fit, known), some in zip(costs, points, strict=True)]
         self.mapped = sum(known for _, _, known in costs) / max(1, sum(map(len, points)))
+
+    @property
+    def least_mapped(self) -> float:
+        """Least share, 0 to 1, of what the drive shows that must be mapped at the best placement."""
+        return least_mapped(self._densities[self._best]) if self._expected.whole else 0.0
 
     @property
     def support(self) -> float:
@@ -219,8 +238,8 @@ class _Comparison:
         if fits.known.any():
             share = f"{percent(fits.fit[fits.known].mean())} of the {fits.known.sum()} cells"
         place = f"at its best place, {self._motion(self._best)}"
-        if self.mapped < self._expected.mapped and location.evidence >= location.required:
-            least = percent(self._expected.mapped)
+        if self.mapped < self.least_mapped and location.evidence >= location.required:
+            least = percent(self.least_mapped)
             return f"{place}, only {percent(self.mapped)} of what it shows are mapped (requires {least}): {numbers}"
         if location.evidence >= location.required:
             return f"{place}, {share} fit, but no submap alone fits and has a certain position: {numbers}"

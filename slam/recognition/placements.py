@@ -53,6 +53,11 @@ class Uncertainty:
         offset = math.sqrt(MAX_SQUARED_DISTANCE) * np.linalg.cholesky(self.covariance) @ direction
         return se2.compose(submap.pose, se2.exp(offset))
 
+    def log_density(self, submap: DriveSubmap, pose: se2.Pose) -> float:
+        """Return the logarithm of the density of a submap's pose, relative to that of equally likely admitted poses."""
+        unit_volume = math.sqrt((2.0 * math.pi) ** 3 * float(np.linalg.det(self.covariance)))
+        return math.log(self.volume / unit_volume) - 0.5 * squared_distance(submap.pose, pose, self.covariance)
+
     @property
     def volume(self) -> float:
         """Square metres times radians of the poses that are admitted, an ellipsoid."""

@@ -15,7 +15,7 @@ from slam import Slam
 from slam.estimation.slam_state import SlamState
 from slam.io.tum import Trajectory
 from slam.loop_closure.submap_search import SUBMAP_LENGTH
-from slam.recognition import drive_scans
+from slam.recognition import drive_scans, location
 from slam.recognition.drive_scans import DriveScans
 from slam.recognition.location import LOST, locate
 from slam.recognition.map_index import index_map
@@ -55,9 +55,9 @@ def second() -> tuple[SlamState, se2.Pose]:
 
 def test_drive_is_located_at_its_place(first: tuple[ScannedMap, se2.Pose], second: tuple[SlamState, se2.Pose]) -> None:
     (old, frame), (state, own) = first, second
-    location = locate(DriveScans().take(state.mapper, state.local_field, 0), old, LOST)
-    assert location.accepted, location.reason
-    for member in location.members:
+    found = locate(DriveScans().take(state.mapper, state.local_field, 0), old, LOST)
+    assert found.accepted, found.reason
+    for member in found.members:
         np.testing.assert_allclose(se2.between(se2.between(frame, own), member.motion), 0.0, atol=0.05)
         assert member.fit > 0.8
         assert 0.4 < member.known <= 1.0
@@ -113,16 +113,17 @@ def test_places_seen_again_are_no_further_evidence(
 
 
 def test_drive_that_leaves_the_map_is_not_located(
-    first: tuple[ScannedMap, se2.Pose], second: tuple[SlamState, se2.Pose]
+    first: tuple[ScannedMap, se2.Pose], second: tuple[SlamState, se2.Pose], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is decided by the share that is mapped, and by nothing else."""
     state, _ = second
     drive = DriveScans().take(state.mapper, state.local_field, 0)
-    assert locate(drive, first[0], replace(LOST, mapped=0.5)).accepted
-    refused = locate(drive, first[0], replace(LOST, mapped=1.0))
+    monkeypatch.setattr(location, "MEAN_UNMAPPED", 0.001)
+    assert locate(drive, first[0], replace(LOST, whole=False)).accepted
+    refused = locate(drive, first[0], LOST)
     assert not refused.accepted
     assert refused.evidence > refused.required
-    assert "mapped (requires 100" in refused.reason
+    assert "mapped (requires 99" in refused.reason
 
 
 def test_what_is_known_before_counts(first: tuple[ScannedMap, se2.Pose], second: tuple[SlamState, se2.Pose]) -> None:
