@@ -23,7 +23,7 @@ from .timelines import CANDIDATE, CLOSURE, KEYFRAME, SENSOR_TIME
 from .viewer import ViewerServer
 
 APPLICATION = "wclm-slam"  # the viewer stores layouts by this name
-SERVER_MEMORY = "25%"  # of the computer's memory: rows kept for viewers that connect late; older ones are in the file
+SERVER_MEMORY = "256MB"  # rows kept for viewers that connect late: some hours of driving; older ones are in the file
 FLUSH_PERIOD = 0.5  # seconds; shorter periods cost kilobytes per chunk with a live viewer and show nothing sooner
 # Bytes after which another file is started: an hour of driving. Rerun keeps an index of the open file in memory, about
 # as large as the rows if these are few in each chunk, as in familiar places.

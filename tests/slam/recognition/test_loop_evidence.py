@@ -64,6 +64,14 @@ def test_the_place_of_a_loop_elsewhere_is_mostly_mapped(expected: Expectation) -
     assert LOST.whole
 
 
+def test_less_must_be_mapped_near_the_estimate() -> None:
+    """A lidar that sees half a circle shows other surfaces than before, but no equal place is near."""
+    run = run_world("symmetric_room", 8918, "half-circle")
+    assert run.unambiguous
+    assert run.joined
+    assert not run.wrong
+
+
 @pytest.mark.slow
 def test_an_office_that_is_not_mapped_is_not_taken_for_an_equal_one() -> None:
     """The robot looks into the next of several equal offices, four metres beside one that it has mapped."""

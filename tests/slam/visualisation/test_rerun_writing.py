@@ -33,6 +33,7 @@ from slam.visualisation.rerun_log.log_files import log_parts
 from slam.visualisation.rerun_log.rrd_reader import ROW_ID, chunks_of
 from slam.visualisation.rerun_log.rrd_writer import RrdWriter
 from slam.visualisation.rerun_log.shown_area import NO_MAP
+from slam.visualisation.rerun_log.viewer import ViewerServer
 
 from ..corridor import Corridor, bare_keyframe, last, log_events, of_kind, rows
 
@@ -177,6 +178,20 @@ def test_a_long_log_continues_in_files_that_are_readable_by_themselves(tmp_path)
     for file in files:
         assert "[lidar]" in last(file, "/config", "TextDocument:text")[0]
         assert last(file, "/metrics/counts", "SeriesLines:names") == ["walls", "corners", "keyframes"]
+
+
+def test_a_server_keeps_at_most_256_megabytes_on_any_computer(tmp_path, monkeypatch):
+    limits = []
+
+    def sink(address, port, server_memory_limit):
+        limits.append(server_memory_limit)
+        return create(address, port, server_memory_limit=server_memory_limit)
+
+    create = rr.GrpcServerSink
+    monkeypatch.setattr(rr, "GrpcServerSink", sink)
+    with ViewerServer() as server:
+        RrdWriter(tmp_path / "review.rrd", layout(Extent(*NO_MAP)), server).close()
+    assert [int(limit.removesuffix("MB")) <= 256 for limit in limits] == [True]
 
 
 def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
