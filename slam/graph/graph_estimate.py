@@ -15,7 +15,6 @@ from ..geometry.segments import Floats
 from .covariances import ROBUST_COVARIANCE_SCALE, LandmarkCovariances, landmark_covariances
 from .factor_residuals import residuals_of
 from .factors import MATCH_KINDS, PIN_KINDS, Factor, FactorKind
-from .gtsam_factors import from_pose2
 from .isam2 import IncrementalSolver
 from .range_bias import RangeBias
 from .residuals import Residuals
@@ -62,7 +61,7 @@ class GraphEstimate:
 
     def keyframe_pose(self, index: int) -> se2.Pose:
         """Return a keyframe's pose in the map."""
-        return from_pose2(self.solver.pose(X(index)))
+        return np.asarray(self.solver.poses([X(index)])[0])
 
     def keyframe_poses(self, count: int) -> Floats:
         """Return the poses (count, 3) of the first `count` keyframes."""
@@ -73,19 +72,19 @@ class GraphEstimate:
 
     def keyframe_poses_of(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the given keyframes."""
-        return np.array([self.keyframe_pose(k) for k in keyframes]).reshape(-1, 3)
+        return self.solver.poses([X(k) for k in keyframes])
 
     def wall_frames(self, walls: Sequence[int]) -> Floats:
         """Return the frames (n, 3) of walls in the map."""
-        return _as_array(self.solver.pose(L(j)) for j in walls)
+        return self.solver.poses([L(j) for j in walls])
 
     def point_map_poses(self, keyframes: Sequence[int]) -> Floats:
         """Return the poses (n, 3) of the points of some keyframes, which scans are matched with."""
-        return _as_array(self.solver.pose(P(k)) for k in keyframes)
+        return self.solver.poses([P(k) for k in keyframes])
 
     def corner_positions(self, corners: Sequence[int]) -> Floats:
         """Return the positions (n, 2) of corners in the map."""
-        return np.array([self.solver.point(C(j)) for j in corners]).reshape(-1, 2)
+        return self.solver.points([C(j) for j in corners])
 
     @property
     def range_bias(self) -> RangeBias:
@@ -201,8 +200,3 @@ class GraphEstimate:
         joint = self.solver.joint_covariance(keys)
         poses = self.keyframe_poses_of(keyframes)
         return landmark_covariances(joint, poses, self.wall_frames(walls), self.corner_positions(corners))
-
-
-def _as_array(poses: Iterable[gtsam.Pose2]) -> Floats:
-    """Convert GTSAM's poses into an array (n, 3)."""
-    return np.array([(pose.x(), pose.y(), pose.theta()) for pose in poses]).reshape(-1, 3)

@@ -114,17 +114,21 @@ class IncrementalSolver:
             return self.batch.arrays.to_values(self.batch.linearised)
         return self.isam.getLinearizationPoint() if self._dismissed is None else self._dismissed
 
-    def pose(self, key: int) -> gtsam.Pose2:
-        """Return the estimate of a pose or of the frame of a wall."""
-        if self.batch is None:
-            return self._query(lambda isam: isam.calculateEstimatePose2(key))
-        return self.batch.values.atPose2(key)
+    def poses(self, keys: Sequence[int]) -> Floats:
+        """Return the estimates (n, 3) of poses or of the frames of walls, [x, y, heading]."""
+        if self.batch is not None:
+            poses = [self.batch.values.atPose2(key) for key in keys]
+        else:
+            poses = self._query(lambda isam: [isam.calculateEstimatePose2(key) for key in keys])
+        return np.array([(pose.x(), pose.y(), pose.theta()) for pose in poses]).reshape(-1, 3)
 
-    def point(self, key: int) -> Floats:
-        """Return the estimate (2,) of a corner."""
-        if self.batch is None:
-            return np.asarray(self._query(lambda isam: isam.calculateEstimatePoint2(key)))
-        return np.asarray(self.batch.values.atPoint2(key))
+    def points(self, keys: Sequence[int]) -> Floats:
+        """Return the estimates (n, 2) of corners."""
+        if self.batch is not None:
+            points = [self.batch.values.atPoint2(key) for key in keys]
+        else:
+            points = self._query(lambda isam: [isam.calculateEstimatePoint2(key) for key in keys])
+        return np.array(points).reshape(-1, 2)
 
     def step_length(self) -> float:
         """Return the norm of the step from the linearisation point to the estimate, metres and radians."""
