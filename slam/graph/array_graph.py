@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost, squared_distances
-from .block_cholesky import factorise, inverse_blocks, solve
+from .block_cholesky import factorise, inverse_blocks, joint_inverse, solve
 from .block_pattern import Pattern
 from .factors import CAUCHY_SCALES, KEY_INDEX_BITS, PRIOR_KINDS, WALL_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
 
@@ -46,17 +46,8 @@ class LinearGraph:
         return inverse_blocks(self._pattern, self._diagonal, self._below)[0][self._pattern.rank]
 
     def joint_covariance(self, rows: Integers) -> Floats:
-        """Return the joint covariance (3 k, 3 k) of k variables, with three components of each.
-
-        Each component takes as long as a step.
-        """
-        ranks, columns = self._pattern.rank[rows], []
-        for rank in ranks.tolist():
-            for axis in range(3):
-                unit = np.zeros_like(self.step)
-                unit[rank, axis] = 1.0
-                columns.append(solve(self._pattern, self._diagonal, self._below, unit)[ranks].ravel())
-        return np.array(columns)
+        """Return the joint covariance (3 k, 3 k) of k variables, with three components of each."""
+        return joint_inverse(self._pattern, self._diagonal, self._below, self._pattern.rank[rows])
 
 
 class _Elimination:

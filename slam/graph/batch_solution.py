@@ -79,7 +79,7 @@ class BatchSolution:
     def joint_covariance(self, keys: Sequence[int]) -> Floats:
         """Return the joint covariance (m, m) of variables with m components in all, in the order of `keys`.
 
-        The time grows with their number.
+        The time grows with their number, and with that of the variables that are eliminated after them.
         """
         rows = np.searchsorted(np.array(self.arrays.keys, dtype=np.uint64), np.array(keys, dtype=np.uint64))
         joint = self.linear.joint_covariance(rows)

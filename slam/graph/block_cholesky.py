@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.compiled import compiled, inlined
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from .block_pattern import Pattern
 
 # A diagonal element that elimination leaves smaller than this share of what it was is zero but for rounding errors.
@@ -31,6 +31,15 @@ def factorise(pattern: Pattern, diagonal: Floats, below: Floats) -> bool:
 def solve(pattern: Pattern, diagonal: Floats, below: Floats, right: Floats) -> Floats:
     """Return the solution (n, 3) for a right-hand side (n, 3), given L as `factorise` left it."""
     return np.asarray(_solve(pattern.starts, pattern.rows, diagonal, below, right.copy()))
+
+
+def joint_inverse(pattern: Pattern, diagonal: Floats, below: Floats, ranks: Integers) -> Floats:
+    """Return the part (3 k, 3 k) of the inverse in the rows and columns of k variables, by their ranks.
+
+    L is as `factorise` left it. With the columns E of the unit matrix, the part is Y' Y with L Y = E. A column of Y is
+    zero but in the rows of what is eliminated after its variable and depends on it.
+    """
+    return np.asarray(_joint_inverse(pattern.starts, pattern.rows, diagonal, below, ranks))
 
 
 def inverse_blocks(pattern: Pattern, diagonal: Floats, below: Floats) -> tuple[Floats, Floats]:
@@ -156,6 +165,54 @@ def _solve(starts, rows, diagonal, below, x):  # type: ignore[no-untyped-def]
         d, (u, v, w) = diagonal[j], x[j]
         x[j, 0], x[j, 1], x[j, 2] = d[0, 0] * u + d[1, 0] * v + d[2, 0] * w, d[1, 1] * v + d[2, 1] * w, d[2, 2] * w
     return x
+
+
+@compiled
+def _places_after(starts, rows, count, ranks):  # type: ignore[no-untyped-def]
+    """Return the places (count,) of some variables, and of all that depend on their elimination, among these; else -1.
+
+    The variable in the first row of a column is the first one that depends on that of the column.
+    """
+    places, number = np.full(count, -1), 0
+    for rank in ranks:
+        j = rank
+        while places[j] < 0:
+            places[j] = 0
+            if starts[j] < starts[j + 1]:
+                j = rows[starts[j]]
+    for j in range(count):
+        if places[j] == 0:
+            places[j], number = number, number + 1
+    return places, number
+
+
+@compiled
+def _joint_inverse(starts, rows, diagonal, below, ranks):  # type: ignore[no-untyped-def]
+    """Return the part of the inverse as `joint_inverse` does."""
+    size, (places, number) = 3 * len(ranks), _places_after(starts, rows, len(diagonal), ranks)
+    y, joint = np.zeros((number, size, 3)), np.zeros((size, size))  # of `y`, the second axis is that of columns
+    for k in range(size):
+        y[places[ranks[k // 3]], k, k % 3] = 1.0
+    for j in range(len(diagonal)):
+        if places[j] < 0:
+            continue
+        d, own = diagonal[j], y[places[j]]
+        for k in range(size):
+            u, v, w = own[k, 0], own[k, 1], own[k, 2]
+            if u == 0.0 and v == 0.0 and w == 0.0:
+                continue
+            u, v, w = d[0, 0] * u, d[1, 0] * u + d[1, 1] * v, d[2, 0] * u + d[2, 1] * v + d[2, 2] * w
+            own[k, 0], own[k, 1], own[k, 2] = u, v, w
+            for p in range(starts[j], starts[j + 1]):
+                target, block = y[places[rows[p]], k], below[p]
+                for r in range(3):
+                    target[r] -= block[r, 0] * u + block[r, 1] * v + block[r, 2] * w
+            for m in range(k + 1):
+                joint[k, m] += u * own[m, 0] + v * own[m, 1] + w * own[m, 2]
+    for k in range(size):
+        for m in range(k):
+            joint[m, k] = joint[k, m]
+    return joint
 
 
 @inlined

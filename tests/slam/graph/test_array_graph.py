@@ -11,7 +11,7 @@ from drivers import se2
 from slam.errors import MapError
 from slam.graph.array_factors import BETWEEN, squared_distances
 from slam.graph.array_graph import ArrayGraph
-from slam.graph.block_cholesky import factorise, inverse_blocks, solve
+from slam.graph.block_cholesky import factorise, inverse_blocks, joint_inverse, solve
 from slam.graph.block_pattern import Pattern, _ranks
 from slam.graph.factor_graph import FactorGraph
 from slam.graph.factors import FactorKind, by_kind, keys_of
@@ -202,6 +202,10 @@ def test_sparse_factorisation_solves_and_inverts() -> None:
     right, inverse = random.normal(size=(count, 3)), np.linalg.inv(matrix)
     assert factorise(pattern, diagonal, below)
     np.testing.assert_allclose(solve(pattern, diagonal, below, right).ravel(), inverse @ right.ravel(), atol=1e-10)
+    ranks = np.array([17, 3, count - 1])
+    rows = (3 * ranks[:, None] + np.arange(3)).ravel()
+    joint = joint_inverse(pattern, diagonal, below, ranks)
+    np.testing.assert_allclose(joint, inverse[np.ix_(rows, rows)], atol=1e-10)
     blocks = inverse.reshape(count, 3, count, 3).transpose(0, 2, 1, 3)
     on_diagonal, off_diagonal = inverse_blocks(pattern, diagonal, below)
     np.testing.assert_allclose(on_diagonal, blocks[np.arange(count), np.arange(count)], atol=1e-10)
