@@ -162,6 +162,7 @@ class ArrayGraph:
         """Return the graph with other groups of variables whose joint covariances are wanted."""
         other = copy(self)
         other._set_groups(groups)
+        other._elimination.follow(self._elimination, np.arange(len(self.keys)))
         return other
 
     def _set_variables(self, ends: NDArray[np.uint64]) -> None:
