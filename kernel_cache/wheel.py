@@ -29,12 +29,16 @@ TARGET = "target.json"
 _options: Any = numba.config  # its attributes are set when it is imported
 
 _prepared: list[Any] = []
-"""All functions of this process that may be loaded from, or written to, a wheel."""
+"""All functions of this process that may be written to a wheel."""
+
+
+def add_to_wheel(dispatcher: Any) -> None:
+    """Let `write_wheel_cache` write a function of numba."""
+    _prepared.append(dispatcher)
 
 
 def prepend_wheel_cache(dispatcher: Any) -> None:
     """Let a function of numba be loaded from the installed wheel, if that suits this computer."""
-    _prepared.append(dispatcher)
     if _suits_this_computer():
         from .wheel_cache import WheelCache
 
