@@ -17,17 +17,16 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
 
-from ..geometry.segments import Floats, Integers, Segments
+from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
 from ..matching.point_costs import MISFIT, UNSEEN, costs_of_points
 from ..matching.point_matcher import POINTS_PER_OBJECT
 from ..matching.scan_features import ScanFeatures
-from ..matching.scan_points import LINE_DISTANCE, WEIGHT, segments_of
+from ..matching.scan_points import LINE_DISTANCE, WEIGHT, lines_of
 from ..odometry.velocity import STEADY_SECONDS
 from .match_target import points_of
 
@@ -67,25 +66,16 @@ class SmallObjects:
 
         An object none of whose points fits costs `moved_cost`, or less if it has few points: no weight is above 1.
         """
-        points, objects = points_of(scan).copy(), objects_of(scan)
-        on_object = objects >= 0
-        if on_object.any():
-            sizes = np.bincount(objects[on_object])[objects[on_object]]
-            points[on_object, WEIGHT] = np.minimum(1.0, self.moved_cost * POINTS_PER_OBJECT / (MISFIT * sizes))
-        return points
+        return np.asarray(_weighted(points_of(scan), objects_of(scan), self.moved_cost))
 
     def add(self, scan: ScanFeatures, pose: se2.Pose, field: DistanceField, seconds: float) -> None:
         """Count the objects of a scan, `seconds` after the one before, with the base at `pose` in the field.
 
         An object has moved if its known points cost more than half of what points cost that fit nowhere.
         """
-        objects, costs = objects_of(scan), costs_of_points(field.arrays, points_of(scan), pose)
-        known = (costs != UNSEEN) & (objects >= 0)
-        counts, totals = np.bincount(objects[known]), np.bincount(objects[known], costs[known])
-        judged = counts >= MIN_JUDGED_POINTS
+        judged, misfitting = _count(field.arrays, points_of(scan), objects_of(scan), pose)
         share = min(1.0, seconds / STEADY_SECONDS)
-        seen = share * float(judged.sum())
-        moved = share * float((totals[judged] > 0.5 * MISFIT * counts[judged]).sum())
+        seen, moved = share * judged, share * misfitting
         kept = min(1.0, MAX_OBJECTS / (self.seen + seen)) if seen else 1.0
         self.seen, self.moved = kept * (self.seen + seen), kept * (self.moved + moved)
 
@@ -101,22 +91,51 @@ def lasting_points(scan: ScanFeatures) -> Floats:
 @lru_cache(maxsize=1)  # a scan is counted after it was matched
 def objects_of(scan: ScanFeatures) -> Integers:
     """Return (p,) the number of the small object on which each of `points_of` a scan lies, from 0 on; -1 if on none."""
-    points = points_of(scan)
-    return np.asarray(_objects(points, _on_walls(points, scan.segments)))
-
-
-def _on_walls(points: Floats, segments: Segments) -> NDArray[np.bool_]:
-    """Return (p,) True for the points on segments that are too long for an object that may move."""
-    is_long = np.append(2.0 * segments.half_length > MAX_SIZE, False)
-    return np.asarray(is_long[segments_of(points, segments)])
+    return np.asarray(_objects(points_of(scan), scan.segments.frame, scan.segments.half_length))
 
 
 @compiled
-def _objects(points, on_walls):  # type: ignore[no-untyped-def]
+def _weighted(points, objects, moved_cost):  # type: ignore[no-untyped-def]
+    """Return points (p, 6) with their weights, see `SmallObjects.weighted_points`; objects (p,) see `objects_of`."""
+    weighted, sizes = points.copy(), np.zeros(len(points), np.int64)
+    for k in range(len(points)):
+        if objects[k] >= 0:
+            sizes[objects[k]] += 1
+    for k in range(len(points)):
+        if objects[k] >= 0:
+            weighted[k, WEIGHT] = min(1.0, moved_cost * POINTS_PER_OBJECT / (MISFIT * sizes[objects[k]]))
+    return weighted
+
+
+@compiled
+def _count(field, points, objects, pose):  # type: ignore[no-untyped-def]
+    """Return the number of objects that are judged at a pose in the field, and of those that have moved.
+
+    points, objects  (p, 6) and (p,) of a scan, see `points_of` and `objects_of`
+    """
+    costs = costs_of_points(field, points, pose)
+    counts, totals, judged, moved = np.zeros(len(points), np.int64), np.zeros(len(points)), 0, 0
+    for k in range(len(points)):
+        if objects[k] >= 0 and costs[k] != UNSEEN:
+            counts[objects[k]] += 1
+            totals[objects[k]] += costs[k]
+    for k in range(len(points)):
+        if counts[k] >= MIN_JUDGED_POINTS:
+            judged += 1
+            moved += totals[k] > 0.5 * MISFIT * counts[k]
+    return judged, moved
+
+
+@compiled
+def _objects(points, frames, half_lengths):  # type: ignore[no-untyped-def]
     """Return (p,) the number of the object of each point, from 0 on; -1 on walls, at walls and on other large surfaces.
 
-    points  (p, ...) in the order of the beams
+    points                (p, ...) in the order of the beams
+    frames, half_lengths  (n, 3), (n,) of the segments; walls are those that are too long for an object that may move
     """
+    lines, on_walls = lines_of(points, frames, half_lengths), np.empty(len(points), np.bool_)
+    for k in range(len(points)):
+        on_walls[k] = lines[k] >= 0 and 2.0 * half_lengths[lines[k]] > MAX_SIZE
     objects, count, start = np.full(len(points), -1, np.int64), 0, 0
     for k in range(1, len(points) + 1):
         if k < len(points) and on_walls[k] == on_walls[start]:

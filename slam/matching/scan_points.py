@@ -123,16 +123,7 @@ def surface_points(points: Floats, segments: Segments, spacing: float, sigma: fl
 
 def segments_of(points: Floats, segments: Segments) -> Integers:
     """Return (q,) the row of the segment, between its ends, on which each of `surface_points` (q, 6) lies, or -1."""
-    return lines_of(points, segments.frame, segments.half_length)
-
-
-def lines_of(points: Floats, frames: Floats, half_lengths: Floats) -> Integers:
-    """Return (q,) the row of the line, between its ends, on which each of some points (q, ...) lies, or -1.
-
-    frames        (n, 3) in the middles of the lines, x along them
-    half_lengths  (n,) metres
-    """
-    return np.asarray(_lines_of(points, frames, half_lengths))
+    return np.asarray(lines_of(points, segments.frame, segments.half_length))
 
 
 @compiled
@@ -176,7 +167,12 @@ def _gap_beside(points, k):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _lines_of(points, frames, half_lengths):  # type: ignore[no-untyped-def]
+def lines_of(points, frames, half_lengths):  # type: ignore[no-untyped-def]
+    """Return (q,) the row of the line, between its ends, on which each of some points (q, ...) lies, or -1.
+
+    frames        (n, 3) in the middles of the lines, x along them
+    half_lengths  (n,) metres
+    """
     rows, axes = np.empty(len(points), np.int64), axes_of(frames)
     for k in range(len(points)):
         rows[k] = _nearest_line(points[k, 0], points[k, 1], frames, axes, half_lengths, 1.0)
