@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers import se2
+from drivers.compiled import compiled
 from drivers.messages import Scan
 from features import Features, LearnedNoise
 
@@ -15,7 +17,7 @@ from ..config import FeatureConfig, LidarConfig
 from ..geometry.line_segments import corner_points, segments_from_lines
 from ..geometry.segments import CornerPoints, Segments
 from ..matching.scan_features import ScanFeatures
-from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints, subsample
+from ..matching.scan_points import MAX_SCAN_POINTS, ScanPoints
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import OdometryHistory, wheel_travel
 from .deskew import DeskewedScan, deskew, lidar_mount
@@ -90,12 +92,29 @@ def _points(scan: DeskewedScan, mount: se2.Pose, sigma: float) -> ScanPoints:
 
     sigma  of a range, see `ScanPoints`
     """
-    valid = np.isfinite(scan.ranges)
-    ranges, bearings = scan.ranges[valid], scan.bearings[valid]
-    points = np.empty((len(ranges), 2))  # np.column_stack takes three times as long
-    np.multiply(ranges, np.cos(bearings), out=points[:, 0])
-    np.multiply(ranges, np.sin(bearings), out=points[:, 1])
-    return ScanPoints(se2.transform(mount, subsample(points, MAX_SCAN_POINTS)), sigma)
+    cosines, sines = np.cos(scan.bearings), np.sin(scan.bearings)
+    return ScanPoints(_placed(scan.ranges, cosines, sines, tuple(mount.tolist())), sigma)
+
+
+@compiled
+def _placed(ranges, cosines, sines, mount):  # type: ignore[no-untyped-def]
+    """Return the points (p, 2) of every k-th valid return in the base's frame, MAX_SCAN_POINTS at most.
+
+    ranges, cosines, sines  (n,) of the beams, and those of their bearings
+    mount                   three numbers, of the lidar in the base's frame
+    """
+    valid = np.isfinite(ranges)
+    step = max(1, -(-valid.sum() // MAX_SCAN_POINTS))
+    points, found = np.empty((len(ranges), 2)), 0
+    c, s = math.cos(mount[2]), math.sin(mount[2])
+    for k in range(len(ranges)):
+        if valid[k]:
+            if found % step == 0:
+                x, y = ranges[k] * cosines[k], ranges[k] * sines[k]
+                points[found // step, 0] = mount[0] + c * x - s * y
+                points[found // step, 1] = mount[1] + s * x + c * y
+            found += 1
+    return points[: -(-found // step)]
 
 
 def joined(first: ScanFeatures, second: ScanFeatures) -> ScanFeatures:

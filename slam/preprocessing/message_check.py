@@ -127,7 +127,7 @@ def _check_order(scan: Scan, angles: Floats) -> None:
 
 def _checked_pose(message: Odometry | InitialPose | GroundTruth) -> Message:
     pose = _row(message, "pose", 3)
-    if not np.abs(pose).max() <= MAX_LENGTH:  # also NaN
+    if not all(abs(number) <= MAX_LENGTH for number in pose.tolist()):  # also NaN
         raise _error(message, f"the pose must be finite, metres and radians, not {pose.tolist()}")
     return message if pose is message.pose else replace(message, pose=pose)
 
