@@ -8,6 +8,7 @@ searched for.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import partial
 
@@ -149,9 +150,10 @@ def _add_earlier(state: SlamState, scan: ProcessedScan, tracking: TrackingResult
 
 def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
     """Take the local map from around the predicted pose if the robot has driven on without being tracked."""
+    if state.anchor is None or state.kidnapped or state.at_part_begin:
+        return
     predicted = state.predict(scan.odometry)
-    far = np.hypot(*(predicted - state.pose)[:2]) > MAX_UNTRACKED_DISTANCE
-    if state.anchor is not None and not state.kidnapped and not state.at_part_begin and far:
+    if math.dist(predicted[:2], state.pose[:2]) > MAX_UNTRACKED_DISTANCE:
         state.local_map = state.local_map_at(predicted, RELOCALISED_RADIUS)
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -60,7 +59,7 @@ class FollowedMotion:
     @classmethod
     def begin(cls, pose: se2.Pose, velocity: VelocityFilter) -> FollowedMotion:
         """Return the hypothesis that odometry stands still from now on, where the robot is at a pose in the map."""
-        return cls(pose, pose, copy(velocity))
+        return cls(pose, pose, velocity.copy())
 
     def after(self, seconds: float) -> FollowedMotion:
         """Return the hypothesis some seconds later."""
@@ -74,7 +73,12 @@ class FollowedMotion:
     def prediction(self, cost: float = 0.0) -> Prediction:
         """Return the prediction of the present pose; `cost` see `Prediction`."""
         sigmas = np.sqrt(self.velocity.variances) * self.seconds + PREDICTION_SIGMAS
-        return Prediction(se2.compose(self.pose, self.velocity.motion(self.seconds)), information_of(sigmas), cost)
+        return Prediction(self.present_pose, information_of(sigmas), cost)
+
+    @property
+    def present_pose(self) -> se2.Pose:
+        """Followed pose at the present scan: `pose`, and the motion since then."""
+        return se2.compose(self.pose, self.velocity.motion(self.seconds))
 
     @property
     def is_too_uncertain(self) -> bool:
@@ -89,12 +93,13 @@ class FollowedMotion:
         """
         if self.is_too_uncertain:
             return None
-        predicted = self.prediction()
+        present = self.present_pose
         before = np.zeros(3) if self.apart is None else self.apart
-        if float(wheel_travel(se2.between(predicted.pose, pose) - before)) < FIELD_CELL:
+        if float(wheel_travel(se2.between(present, pose) - before)) < FIELD_CELL:
             return replace(self, start=pose) if self.apart is None else self
-        if not self._stands_still(predicted.pose, pose):  # true of most scans: the comparison takes longer
+        if not self._stands_still(present, pose):  # true of most scans: the comparison takes longer
             return None
+        predicted = self.prediction()
         match, evidence = compare(predicted, pose)
         followed = predicted.pose if match is None else match.pose
         total = self.evidence + evidence - 0.5 * predicted.squared_distance(followed)

@@ -8,7 +8,6 @@ its velocity, odometry is not used any more, until it agrees with the scans over
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,9 +114,9 @@ class OdometryComparison:
         if travel < COMPARED_TRAVEL:
             return
         motion = model.correct(by_odometry)
-        error = model.covariance(motion) + prediction_error
         gross = GROSS_SHARE * max(motion, by_scans, key=wheel_travel)
-        if not _is_significant(gross, error):
+        error = model.covariance(motion) + prediction_error
+        if not _is_significant(gross, inverse(error)):
             return
         by_scan = np.asarray(inverse(compared.information + CONDITIONING))
         self._compare(by_scans, motion, gross, error + 2.0 * by_scan, is_certain)
@@ -125,7 +124,7 @@ class OdometryComparison:
 
     def _begin(self, fix: PoseFix, velocity: VelocityFilter) -> None:
         """Begin a comparison at a fix."""
-        self._start, self._velocity, self._seconds = fix, copy(velocity), 0.0  # its arrays are replaced, not changed
+        self._start, self._velocity, self._seconds = fix, velocity.copy(), 0.0
 
     def _compare(
         self,
@@ -142,8 +141,9 @@ class OdometryComparison:
         """
         assert self._start is not None
         difference = se2.between(motion, by_scans)
-        contradicts = wheel_travel(difference) > wheel_travel(gross) and _is_significant(difference, error)
-        if not _is_significant(gross, error):
+        information = inverse(error)
+        contradicts = wheel_travel(difference) > wheel_travel(gross) and _is_significant(difference, information)
+        if not _is_significant(gross, information):
             self._undetermined = 0.0 if contradicts else self._undetermined + self._seconds
             if self._undetermined > STEADY_SECONDS:
                 self.contradicted_for = 0.0
@@ -151,15 +151,16 @@ class OdometryComparison:
         self._undetermined = 0.0
         if not contradicts:
             self.contradicted_for = 0.0
-        elif self._is_even(by_scans) and is_certain(Prediction(se2.compose(self._start.pose, motion), inverse(error))):
+        elif self._is_even(by_scans) and is_certain(Prediction(se2.compose(self._start.pose, motion), information)):
             self.contradicted_for += min(self._seconds, MAX_COMPARED_SECONDS)
 
     def _is_even(self, motion: se2.Pose) -> bool:
         """Return True if a motion since the start of the comparison continues the one before."""
         sigmas = self._velocity.deviations(self._seconds) + PREDICTION_SIGMAS
-        return not _is_significant(se2.between(self._velocity.motion(self._seconds), motion), np.diag(sigmas**2))
+        change = se2.between(self._velocity.motion(self._seconds), motion)
+        return not _is_significant(change, inverse(np.diag(sigmas**2)))
 
 
-def _is_significant(difference: se2.Pose, covariance: Floats) -> bool:
-    """Return True if a difference of two motions is larger than its covariance (3, 3) explains."""
-    return bool(difference @ inverse(covariance) @ difference > NORMAL_LIMIT**2)
+def _is_significant(difference: se2.Pose, information: Floats) -> bool:
+    """Return True if a difference of two motions is larger than its `information` (3, 3) explains."""
+    return bool(difference @ information @ difference > NORMAL_LIMIT**2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -84,7 +83,7 @@ class PosePredictor:
     @property
     def velocity(self) -> VelocityFilter:
         """Copy of the velocity at the last fix."""
-        return copy(self._velocity)  # its arrays are replaced, not changed
+        return self._velocity.copy()
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
@@ -215,7 +214,7 @@ class PosePredictor:
         fix = PoseFix(result.pose, odometry)
         if before is not None and before.followed is not None:
             # The slip began scans ago: the motion since the last fix is not that of the robot.
-            self._velocity = copy(before.followed.velocity)
+            self._velocity = before.followed.velocity.copy()
             self._velocity.correct(se2.between(before.fix.pose, fix.pose), result.registered_covariance, self._interval)
         elif self._since_fix:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)

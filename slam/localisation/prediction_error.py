@@ -23,6 +23,7 @@ PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
 # Variance of a match in any direction, as a share of PREDICTION_SIGMAS squared, up to which it determines the error of
 # the prediction. Origin: chosen, a third in standard deviations; not measured.
 MAX_MATCH_SHARE = 0.1
+MAX_MATCH_VARIANCES = MAX_MATCH_SHARE * PREDICTION_SIGMAS**2  # Origin: definition.
 
 
 class PredictionError:
@@ -47,7 +48,7 @@ class PredictionError:
         predicted_variances  (3,) of the prediction, with `variances`
         match_variances      (3,) of the match; a scan that does not determine its pose is not used
         """
-        if np.any(match_variances > MAX_MATCH_SHARE * PREDICTION_SIGMAS**2):
+        if (match_variances > MAX_MATCH_VARIANCES).any():
             return
         variances, expected = self.variances, predicted_variances + match_variances
         samples = self.scans + PRIOR_SAMPLES

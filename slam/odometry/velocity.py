@@ -36,6 +36,10 @@ class VelocityFilter:
         self.velocity = np.zeros(3) if velocity is None else velocity
         self.variances = MAX_VARIANCES if variances is None else variances
 
+    def copy(self) -> VelocityFilter:
+        """Return a copy that corrections do not change; it shares the arrays, which are replaced and never changed."""
+        return VelocityFilter(self.velocity, self.variances)
+
     def motion(self, seconds: float) -> se2.Pose:
         """Return the motion [x, y, heading] within some seconds, along an arc."""
         arc = self.velocity * seconds
