@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -28,6 +29,7 @@ from ...matching.point_matcher import PointMatch, Prediction
 from ...matching.scan_features import ScanFeatures
 from ...odometry.error_model import OdometryModel
 from ...odometry.measurement_clock import MeasurementClock
+from ...preprocessing.scan_sequence import ScanSequence
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same distance field.
@@ -102,18 +104,19 @@ class FullMapMatcher:
         self._next_rows = _next_rows(self._tiles)
         self._fields: dict[_Tile, tuple[int, DistanceField]] = {}  # with the next scan that needs it
         self._points: dict[int, NDArray[np.float32]] = {}  # of the keyframes in fields
-        self._reach = [LOCAL_MAP_MARGIN + scan.features.segments.reach() for scan in history.scans]
+        self._stored = lru_cache(maxsize=1)(ScanSequence.of(history.scans).features)  # of a scan: unpacked once
         self._last_keyframe = (np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1).tolist()
         clock = MeasurementClock()
         self._intervals = [clock.interval(stamp) for stamp in history.stamps.tolist()]  # to each scan
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
         """Return the landmarks that a scan may observe from `pose`: those that existed at that time."""
-        return landmarks_around(self._landmarks, pose, self._reach[row], keyframe=self._last_keyframe[row])
+        reach = LOCAL_MAP_MARGIN + self._stored(row).segments.reach()
+        return landmarks_around(self._landmarks, pose, reach, keyframe=self._last_keyframe[row])
 
     def features(self, row: int) -> ScanFeatures:
         """Return the features of a scan without the range bias."""
-        return self._history.scans[row].features.without_range_bias(self._range_bias)
+        return self._stored(row).without_range_bias(self._range_bias)
 
     def match(self, row: int, poses: Floats, local_map: LocalMap) -> FullMapMatch:
         """Match the scan `row`, given the poses (n, 3) of all scans and the landmarks around it.
