@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from .immutable import immutable
 from .se2 import Pose
 
 Floats = NDArray[np.float64]
@@ -19,7 +20,7 @@ MAX_SPAN = 4.0 * math.pi
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Scan:
     """One sweep of a 2-D lidar.
 
@@ -52,7 +53,7 @@ class Scan:
         return float(self.time_offsets.max(initial=0.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Odometry:
     """Pose [x, y, heading] of the base in the odometry's frame (metres, radians) at a stamp (seconds)."""
 
@@ -60,7 +61,7 @@ class Odometry:
     pose: Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class YawRate:
     """Rate (radians per second) at which the base turns counter-clockwise, as a gyroscope measures it, at a stamp."""
 
@@ -68,7 +69,7 @@ class YawRate:
     rate: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class InitialPose:
     """Pose [x, y, heading] of the base in the map (metres, radians), roughly, as a user set it at a stamp (seconds)."""
 
@@ -76,7 +77,7 @@ class InitialPose:
     pose: Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class GroundTruth:
     """True pose [x, y, heading] of the base in the world's frame (metres, radians) at a stamp (seconds).
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Sequence
-from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import GroundTruth, Odometry, Source
 
 from .config import Config
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from .io.exports import Occupancy
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MappedRecording:
     """Map and path of a recording.
 

@@ -6,13 +6,14 @@ It is output only, and never enters the estimate.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from threading import Lock
 from typing import ClassVar
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Odometry
 
 from .events import Event, KeyframeAdded, ScanTracked, StateChanged
@@ -30,7 +31,7 @@ KEPT_READINGS = 2000
 MAX_WAIT = 0.5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ExtrapolatedPose:
     """Pose of the base in the map at the stamp of an odometry reading.
 
@@ -53,7 +54,7 @@ class ExtrapolatedPose:
         return se2.compose(self.pose, se2.inverse(self.odometry))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Fix:
     """Pose of the base in the map at the last scan.
 

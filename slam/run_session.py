@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from drivers.immutable import immutable
+
 from .config import Config
 from .errors import MapError
 from .estimation.journal import Journal
@@ -83,7 +85,7 @@ class RunSession:
         return [*(() if self.earlier is None else self.earlier.loop_decisions), *self.statistics.loops]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RunSnapshot:
     """Copy of a run, which shares only what no longer changes: it may be used in another thread.
 

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..immutable import immutable
 from ..messages import Floats
 from ..se2 import Pose, wrap
 
@@ -59,7 +60,7 @@ class OdometryNoise:
     gyro: float = 1.2e-7
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ArcMotion:
     """Arc: its length (metres), its angle (radians) and the covariance (2, 2) of both."""
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..immutable import immutable
 from .measurements import Bytes, DecoderCounters, Flags, Integers
 
 SLICE_SIZE = 1 << 15
@@ -40,7 +41,7 @@ class PacketLayout:
         return shown
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PacketBatch:
     """Undamaged packets.
 

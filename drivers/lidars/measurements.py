@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..immutable import immutable
 from ..messages import Floats
 
 Bytes = NDArray[np.uint8]
@@ -49,7 +50,7 @@ continuous   True if nothing has been lost between the previous packet and this 
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Measurements:
     """Measurements that a chunk of bytes completed: `samples` (n,) of SAMPLE in measuring order, `packets` (m,) of
     PACKET.

@@ -9,12 +9,12 @@ metres it is 0.90 to 1.11.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from .. import se2
+from ..immutable import immutable
 from ..messages import Floats
 from ..se2 import Pose
 
@@ -32,7 +32,7 @@ MIN_PAIRS = 10
 """Pairs of beams for a median that is certain. Origin: chosen; not measured."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanInUnits:
     """Scan whose ranges are in an unknown unit.
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from ..immutable import immutable
 from ..messages import Floats
 from ..se2 import Pose
 from .ros_messages import LidarMount, heading_of
@@ -23,7 +23,7 @@ def normalize_frame(frame: str) -> str:
     return frame.lstrip("/")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Link:
     """Transform from a frame to its parent: as stored in the message, and as a (4, 4) matrix."""
 

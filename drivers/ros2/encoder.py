@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import se2
+from ..immutable import immutable
 from ..messages import Floats, Odometry
 from ..recordings.ros_encoder import RosEncoder
 from ..recordings.ros_messages import DIAGNOSTICS, ODOMETRY
@@ -41,7 +41,7 @@ class Shape(IntEnum):
     POINTS = 8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Drawing:
     """One Marker.
 
@@ -58,7 +58,7 @@ class Drawing:
     colour: tuple[float, float, float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Grid:
     """Occupancy grid as in nav_msgs/OccupancyGrid.
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import cycle
 
 import numpy as np
 
+from ..immutable import immutable
 from ..messages import Floats
 from ..se2 import wrap
 from .raycast import TIME_STEP, poses_at
@@ -29,7 +29,7 @@ STANDSTILL = 1.0
 """Seconds at rest before the start and after the arrival."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ArcTrajectory:
     """True trajectory, composed of arcs of TIME_STEP seconds.
 

@@ -31,7 +31,6 @@ from __future__ import annotations
 import math
 import tomllib
 from collections import defaultdict
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +39,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .. import se2
 from ..errors import RecordingError
+from ..immutable import immutable
 from ..messages import Floats
 from ..validation import first_problem
 
@@ -100,7 +100,7 @@ class WorldFile(_Entry):
     columns: list[Column] = []
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class TemporaryShapes:
     """Shapes that exist from `since` to before `until`, seconds after the start; arrays as in `World`."""
 
@@ -110,7 +110,7 @@ class TemporaryShapes:
     circles: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class World:
     """Building in which the simulated robot drives, and the way points of the drive.
 

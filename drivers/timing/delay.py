@@ -19,6 +19,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from ..immutable import immutable
 from ..messages import Floats
 from .beam_times import STATED, BeamTimes
 from .robust_weights import MIN_ERROR, WEIGHT_ITERATIONS, robust_weights
@@ -57,7 +58,7 @@ class Delay:
     objection: str | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Blocks:
     """Sums over each block, for each of the delays of the grid: of x^2 and x y (b, d), of y^2 and 1 (b,)."""
 

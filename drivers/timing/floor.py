@@ -28,6 +28,7 @@ import numpy as np
 
 from .. import se2
 from ..compiled import compiled, inlined
+from ..immutable import immutable
 from ..messages import Floats, Message, Odometry, Scan, SourceReport
 from .student import ERROR_PROBABILITY
 
@@ -107,7 +108,7 @@ class Floor:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _View:
     """Odometry pose, and logarithms (BINS,) of the ranges in a scan, NaN where nothing is known."""
 

@@ -11,11 +11,10 @@ deviation is that of the jackknife over the pairs.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from .. import se2
+from ..immutable import immutable
 from ..messages import Floats
 from .delay import MAX_SCALE
 from .motion_pairs import covered_pairs, jackknife_sigma, leave_one_out
@@ -27,7 +26,7 @@ from .turns import MAX_SCAN_PERIOD, Run, Turns
 MIN_DIFFERENCE = 0.35
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MountHeading:
     """Heading of a lidar on its robot as found from a drive, radians in [-pi, pi).
 

@@ -12,12 +12,12 @@ likelihood of scale s admits points that only one of the scans has seen.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from .. import se2
 from ..compiled import compiled
+from ..immutable import immutable
 from ..messages import Floats, Scan
 
 # Radians, width of a direction bin in the search for the rotation.
@@ -51,7 +51,7 @@ NORMAL_SPAN = 2
 REGULARISATION = 1e-9 * np.eye(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Surface:
     """Points of a scan with normals, as reference of a match: all (n, 2), unit normals."""
 
@@ -59,7 +59,7 @@ class Surface:
     normals: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Match:
     """Result of matching a scan to a reference.
 

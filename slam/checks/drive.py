@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from ..odometry.history import wheel_travel
@@ -22,7 +23,7 @@ SAMPLE_DISTANCE, SAMPLE_TURN = 0.3, math.radians(10.0)
 MIN_POINTS = 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Drive:
     """n scans in time order with their final poses, and the odometry between them.
 

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.compiled import compiled
 from drivers.elapsed import elapsed
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.sight_lines import MIN_DEPTH
@@ -48,7 +48,7 @@ MAX_CONTRADICTION = 0.1
 MIN_SCANS = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Contradictions:
     """What each of n scans has in common with earlier passes, in numbers of points.
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from drivers.elapsed import elapsed
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 
@@ -14,7 +13,7 @@ MIN_INTERVAL = 1.0
 PLACEMENT, ODOMETRY, MAP, PARTS, UNCONSTRAINED = "placement", "odometry", "map", "parts", "unconstrained"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Suspect:
     """A place in a finished run where path, scans and odometry contradict each other.
 

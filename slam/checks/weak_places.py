@@ -12,10 +12,11 @@ beyond it is due to few or distant observations, and is improved by driving past
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.map_features import MapWalls
@@ -61,7 +62,7 @@ class WeakKind(StrEnum):
     WALL = "wall"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class KeyframePath:
     """Where k keyframes are, and how well that is known.
 
@@ -86,7 +87,7 @@ class KeyframePath:
         return nearest if rows is None else int(rows[nearest])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WeakPlace:
     """A place where the map is poorly known.
 

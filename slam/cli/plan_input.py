@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from drivers.immutable import immutable
+
 from .console import print_if_slow, print_message
 
 if TYPE_CHECKING:
@@ -69,7 +71,7 @@ def load_plan(path: Path, options: PlanOptions, config: Config) -> PlanMap:
     return plan_map
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PlanReport:
     """Comparison of the finished map of a run with its plan.
 

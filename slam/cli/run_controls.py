@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
+
+from drivers.immutable import immutable
 
 from .mode_switch import ModeSwitch
 from .terminal_keys import TerminalKeys
@@ -13,7 +15,7 @@ if TYPE_CHECKING:
     from ..visualisation.rerun_log import ViewerServer
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RunControls:
     """Connections of a run to people.
 

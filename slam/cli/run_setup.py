@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..config import Config, load_config
 from ..errors import MapError
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 READING_SESSION = "reading the session"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RunSetup:
     """Initial state of a run.
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.elapsed import elapsed
+from drivers.immutable import immutable
 
 from ..formatting import counted, duration, percent
 from ..io.output_dir import TRAJECTORY
@@ -27,7 +27,7 @@ SHOWN_SPANS = 4
 SHOWN_DIFFERENCES = 8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RunResult:
     """Result of a run: the content of summary.json, and True in `review` if there is a review log."""
 

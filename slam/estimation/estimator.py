@@ -8,11 +8,12 @@ map on trial: when its place is recognised, it is discarded, and only the poses 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..localisation.tracking import TrackingResult
 from ..loop_closure.decision import LoopDecision
@@ -34,7 +35,7 @@ from .stage_timer import StageTimer
 MAX_SEARCH_DISTANCE = 10.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanResult:
     """Effects of one scan.
 

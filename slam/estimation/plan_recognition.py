@@ -8,12 +8,12 @@ If the pose at the first scan is roughly known, it is enough that the walls fit 
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE, UNMODELLED_SIGMAS
@@ -44,7 +44,7 @@ ATTEMPT_DISTANCE = 1.0  # Origin: as ATTEMPT_KEYFRAMES.
 MIN_WALLS_ON_PLAN = 0.55
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PlacedMap:
     """Place of the map in the plan.
 

@@ -9,12 +9,12 @@ searched for.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.small_matrices import inverse, is_positive_definite
 from ..localisation.match_target import MatchTarget
@@ -43,7 +43,7 @@ SECOND_LOOK_TIME = 2.0
 MAX_UNTRACKED_DISTANCE = 0.5 * LOCAL_MAP_MARGIN
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class KeyframeUpdate:
     """Changes of the map by one keyframe.
 

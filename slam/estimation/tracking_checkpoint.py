@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalFieldState
 from ..localisation.tracking import TrackerState
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Anchor:
     """Pose on the trajectory from which the motion to the next keyframe is measured.
 
@@ -30,7 +30,7 @@ class Anchor:
     odometry: se2.Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class TrackingCheckpoint:
     """State of tracking that a session stores.
 

@@ -12,11 +12,11 @@ Equations, whose symbols the code uses: docs/mathematics.md#bends-of-walls.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from ..graph.wall_bends import WallBends
@@ -47,7 +47,7 @@ CHUNK = 256
 END = 2.0 * LINE_DISTANCE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Profile:
     """What the keyframes saw of one wall: n cells that any of k keyframes saw.
 

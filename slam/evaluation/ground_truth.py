@@ -7,13 +7,13 @@ matched with true ones by geometry alone: if the covariances influenced the matc
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Message
 from drivers.simulation import Simulation, World
 
@@ -32,7 +32,7 @@ MIN_COVERED = 0.5  # share of a mapped wall's length that true walls must cover
 RELATIVE_KEYFRAMES = 15  # keyframes between the two poses of a relative pose: some metres of driving
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Nees:
     """NEES of k keyframes (3 degrees of freedom each), n walls and m corners (2 each) of one run.
 
@@ -120,7 +120,7 @@ def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats, shifts: F
     return pose_nees(relative, covariances + np.einsum("ki,kj->kij", moved, moved), true)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class TrueWalls:
     """Sides of n true walls in the map frame: frame (n, 3) at one end, x along the wall; length (n,) in metres."""
 

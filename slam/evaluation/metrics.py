@@ -6,13 +6,13 @@ All functions take and return plain numbers; plots are in `slam.visualisation.pl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..errors import MapError
 from ..geometry.segments import Floats
@@ -32,7 +32,7 @@ MIN_EXPLAINED_TURNS = 0.5
 explain nearly all of it, those of other drives nothing; not measured."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MotionErrors:
     """Errors of n motions: `translation` (n,) metres, `rotation` (n,) radians, both absolute values."""
 
@@ -61,7 +61,7 @@ def are_unrelated(errors: MotionErrors, true: Floats) -> bool:
     return _rms(errors.rotation) > max(unexplained, MIN_UNRELATED_TURN)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Relations:
     """True motions: `motion` (n, 3) is the pose at time `second` (n,) relative to the pose at time `first` (n,)."""
 
@@ -82,7 +82,7 @@ def read_relations(path: Path) -> Relations:
     return Relations(values[:, 0], values[:, 1], values[:, [2, 3, 7]])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RelationsScore:
     """Errors of the relations within the time of a trajectory.
 
@@ -140,7 +140,7 @@ def score_relations(trajectory: Trajectory, relations: Relations) -> RelationsSc
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ReferenceScore:
     """Errors of a trajectory against a reference at their n common times.
 

@@ -8,12 +8,12 @@ that the first scan has seen. This needs neither a map nor any part of the estim
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Scan
 
 from ..errors import MapError
@@ -35,7 +35,7 @@ LARGEST_SHARE = 0.1
 """Share of the relations, those with the largest errors, that are counted separately. Origin: definition."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RelationFit:
     """How well two scans fit at n relations of which both scans are known.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.immutable import immutable
 from drivers.se2 import Pose
 
 from ..geometry.segments import Floats
@@ -24,7 +25,7 @@ class LoopCheck:
     passed: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ComparedPoints:
     """Points of the last match of a loop hypothesis, in the map as it was then, metres.
 
@@ -38,7 +39,7 @@ class ComparedPoints:
     old: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Correction:
     """Change of trajectory and map by a loop closure or a retraction.
 
@@ -62,7 +63,7 @@ class Correction:
         return np.asarray(np.hypot(*(self.keyframes - self.keyframes_before)[:, :2].T))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LoopDecided:
     """Decision on a loop hypothesis after keyframe `index`.
 

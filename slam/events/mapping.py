@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
+from drivers.immutable import immutable
 from drivers.se2 import Pose
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
@@ -11,7 +10,7 @@ from ..graph.residuals import Residuals
 from ..mapping.map_features import MapCorners, MapWalls
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class KeyframeAdded:
     """A scan became a keyframe. All values are those after the update of the graph.
 
@@ -51,7 +50,7 @@ class KeyframeAdded:
     counts: dict[str, int]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MapUpdated:
     """The whole map after keyframe `index`; published every few keyframes and after a loop closure.
 
@@ -72,7 +71,7 @@ class MapUpdated:
     dof: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallsMerged:
     """Two walls were found to be the same, at a squared distance `gate`: `absorbed` is part of `kept` from now on."""
 
@@ -83,7 +82,7 @@ class WallsMerged:
     gate: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallsRemoved:
     """Walls were removed from the map, as scans have seen through them; published with the next MapUpdated."""
 
@@ -92,7 +91,7 @@ class WallsRemoved:
     walls: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class GraphInspected:
     """Residuals of all factors after keyframe `index`.
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
+
+from drivers.immutable import immutable
 
 from ..formatting import counted
 from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners, MapWalls
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Notice:
     """A message for the user, for example about a gap in the data, a jump of the odometry, or a lost pose."""
 
@@ -18,7 +20,7 @@ class Notice:
     level: str = "WARN"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SuspectFound:
     """A check of the finished run found a contradiction at `stamp`; published at the end of the run, worst first.
 
@@ -33,7 +35,7 @@ class SuspectFound:
     position: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Finished:
     """The run is over: final map and trajectory.
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drivers.immutable import immutable
 from drivers.se2 import Pose
 
 from ..geometry.segments import Floats
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from ..odometry.velocity import VelocityFilter
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanTracked:
     """A scan was tracked.
 
@@ -41,7 +42,7 @@ class ScanTracked:
     velocity: VelocityFilter | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class GroundTruthReceived:
     """The recording contains the true pose, in the frame of the world."""
 
@@ -49,7 +50,7 @@ class GroundTruthReceived:
     pose: Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class StateChanged:
     """The localisation status changed to OK, DEGENERATE or LOST.
 
@@ -61,7 +62,7 @@ class StateChanged:
     direction: float | None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ModeChanged:
     """The map is only localised in from now on (`frozen`), or is extended."""
 
@@ -69,7 +70,7 @@ class ModeChanged:
     frozen: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Relocalised:
     """A lost or kidnapped robot was recognised in the map; the base is at `pose` (3,).
 

@@ -8,16 +8,18 @@ segments, and does not depend on the lidar's mount.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Segments:
     """Wall segments of one scan.
 
@@ -49,7 +51,7 @@ class Segments:
         return float(np.max(np.hypot(self.frame[:, 0], self.frame[:, 1]) + self.half_length, initial=0.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class CornerPoints:
     """Corners of one scan.
 

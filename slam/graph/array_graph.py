@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
@@ -29,7 +31,7 @@ from .factors import CAUCHY_SCALES, KEY_INDEX_BITS, PRIOR_KINDS, WALL_KINDS, Fac
 MAX_GROWTH = 1.1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LinearGraph:
     """A linearised graph, factorised.
 

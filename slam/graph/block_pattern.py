@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import gtsam
 import numpy as np
 
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ..geometry.segments import Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Pattern:
     """Where the blocks of L are, of a matrix L L'. Variables are numbered in the order of elimination.
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from enum import StrEnum
 
 import numpy as np
 from gtsam.symbol_shorthand import C, L, P, X
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 
@@ -112,7 +114,7 @@ _FIRST_KEYS = {
 _FIRST_KEYS_OF_OTHERS = (X(0), L(0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Factor:
     """One factor; see FactorKind.
 
@@ -141,7 +143,7 @@ def keys_of(factor: Factor) -> tuple[int, int]:
     return first + factor.first, second + factor.second
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class FactorsOfKind:
     """n factors of one kind as arrays.
 
@@ -242,7 +244,7 @@ def _stacked(arrays: Sequence[Floats]) -> Floats:
     return np.concatenate(arrays).reshape(len(arrays), *arrays[0].shape)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class GraphState:
     """Everything a graph consists of: enough to continue with exactly the same results.
 

@@ -9,11 +9,13 @@ variables with b unknown is theirs with b known, plus x' x'^T times the variance
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C
+
+from drivers.immutable import immutable
 
 from ..errors import MapError
 from ..geometry.segments import Floats
@@ -32,7 +34,7 @@ MAX_PARABOLAS = 6
 CONVERGED_SHARE = 0.2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RangeBias:
     """Estimate of the range bias.
 

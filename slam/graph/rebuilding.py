@@ -7,11 +7,12 @@ a right angle. So the part is moved first. All of its factors are relative to it
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from .factor_graph import GAUGE_PRIOR_SIGMA, FactorGraph
@@ -19,7 +20,7 @@ from .factors import Factor, FactorKind, GraphState, walls_of
 from .graph_storage import graph_state, restore_graph
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RigidMotion:
     """Motion [x, y, heading] in the map of some keyframes, walls and corners, by their numbers."""
 
@@ -69,7 +70,7 @@ def without_walls(graph: FactorGraph, walls: Iterable[int]) -> FactorGraph:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LandmarkCopy:
     """Landmark `copy` that gets the observations of the landmark `original` by some keyframes."""
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 
@@ -26,7 +26,7 @@ _ENDS = {
 }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Residuals:
     """Residuals of n factors.
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallBends:
     """Bends of walls, and the covariances that they cause.
 

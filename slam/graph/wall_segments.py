@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from .factors import Factor, FactorKind
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallSegment:
     """A segment of a wall, observed by a keyframe.
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..bounds import MAX_LENGTH
 from ..errors import MapError
@@ -19,7 +20,7 @@ COLUMNS = ("stamp", "x", "y", "heading", "xx", "xy", "xh", "yy", "yh", "hh")
 UPPER_TRIANGLE = np.triu_indices(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Keyframes:
     """Poses of k keyframes.
 

@@ -18,7 +18,6 @@ from __future__ import annotations
 import json
 import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from drivers.immutable import immutable
 from drivers.validation import first_problem
 
 from ..errors import MapError
@@ -88,7 +88,7 @@ class _Map(_Record):
     corners: list[_Corner]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MapFile:
     """Contents of a map file."""
 

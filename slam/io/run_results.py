@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..config import Config, config_to_toml, load_config
 from ..errors import MapError, first_line
@@ -31,7 +32,7 @@ SUMMARY_TYPES: dict[str, type[dict[str, Any]] | type[list[Any]]] = {
 """Types of the entries of summary.json that are not plain values."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RunResults:
     """Results of a run in the directory `path`; `keyframes` is None if the directory has no keyframes.csv."""
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.path_length import path_length
 
 from ..bounds import MAX_LENGTH
@@ -26,7 +26,7 @@ QUATERNION_TOLERANCE = 0.01
 """Largest difference of a quaternion's length from one: files are often written with three decimals."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Lookup:
     """Poses of a trajectory at n stamps.
 
@@ -40,7 +40,7 @@ class Lookup:
     covered: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Trajectory:
     """At least one pose over time.
 
@@ -150,7 +150,7 @@ def read_tum_poses(path: Path) -> tuple[Floats, Floats]:
     return values[:, 0], np.column_stack([values[:, 1:3], se2.wrap(heading)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class NumberTable:
     """Numbers from a text file: `values` (n, columns), and the line of each row, from 1."""
 

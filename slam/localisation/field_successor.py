@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.immutable import immutable
+
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
 from ..matching.distance_field import DistanceField
@@ -20,7 +22,7 @@ from ..matching.distance_field import DistanceField
 KEYFRAMES_PER_STEP = 50
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class FieldSuccessorState:
     """What a successor is rebuilt from, besides the points of the keyframes.
 

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..matching.offset_tiles import FIELD_CELL
@@ -35,7 +36,7 @@ Compare: TypeAlias = Callable[[Prediction, se2.Pose], tuple[PointMatch | None, f
 """Compares a scan at a prediction and at a pose by odometry, see `MatchTarget.compare`."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class FollowedMotion:
     """Pose of a robot that has moved on evenly, whatever odometry says.
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
@@ -38,7 +38,7 @@ MAX_DISPLACEMENT = 2.0 * FIELD_CELL
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LocalFieldState:
     """What a local field is rebuilt from, besides the points of the keyframes.
 
@@ -58,7 +58,7 @@ class LocalFieldState:
     successor: FieldSuccessorState | None = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _RecentField:
     """Distance field of the last keyframes, and the poses (k, 3) at which each of these was inserted."""
 

@@ -8,12 +8,13 @@ is off by centimetres, and scans from nearby repeat this error.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats
@@ -40,7 +41,7 @@ from .prediction_error import PREDICTION_SIGMAS
 MIN_EVIDENCE = 0.5 * NORMAL_LIMIT**2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanMatch:
     """Match of a scan.
 
@@ -81,7 +82,7 @@ class ScanMatch:
         return self.points.prediction is not usual or usual.excludes(self.points.pose)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MatchTarget:
     """Map around the robot that a scan is matched to.
 

@@ -8,11 +8,11 @@ its velocity, odometry is not used any more, until it agrees with the scans over
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats
@@ -35,7 +35,7 @@ GROSS_SHARE = 0.5
 MAX_COMPARED_SECONDS = 0.5 * STEADY_SECONDS
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ComparedFix:
     """Fix of a tracked scan, with what the scans say about the motion there.
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..matching.point_matcher import Prediction
 from .followed_motion import FollowedMotion
 from .tracking import PoseFix
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Predictions:
     """Predictions of the pose at the next scan, one of which holds.
 
@@ -37,7 +36,7 @@ class Predictions:
         return [self.usual, *(prediction for prediction in others if prediction is not None)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Alternative:
     """Pose where a scan fits odometry too, and by how much it costs more there than at its best pose."""
 
@@ -45,7 +44,7 @@ class Alternative:
     additional_cost: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class TentativePose:
     """Pose of a scan that is TENTATIVE, on which the next scan decides.
 

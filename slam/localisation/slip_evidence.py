@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.chi_square import chi_square_quantile
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch
@@ -24,7 +24,7 @@ AMBIGUITY = 10.0
 MAX_SLIP = math.sqrt(chi_square_quantile(0.997, 3))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SlipEvidence:
     """Evidence of a scan's match for and against the predictions by odometry."""
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.pose_steps import pose_error
@@ -33,7 +33,7 @@ class TrackingStatus(Enum):
     NO_FEATURES = "no features"  # too little wall and too few points
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class TrackingResult:
     """Pose of a scan.
 
@@ -85,7 +85,7 @@ class TrackingResult:
         return se2.between(before, self.pose) if before is not None and matched else None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PoseFix:
     """Pose of the base in the map, and the odometry pose at the same time."""
 
@@ -97,7 +97,7 @@ class PoseFix:
         return se2.between(self.odometry, odometry)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class TrackerState:
     """State of tracking that a session stores.
 

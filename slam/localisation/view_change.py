@@ -12,13 +12,13 @@ next scan agrees if it lies on that surface. In directions without neighbouring 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.immutable import immutable
 from features.rays import MISSING_STEPS
 
 from ..geometry.angles import wrap_angle
@@ -57,7 +57,7 @@ MAX_TRAVEL = 0.1
 VIEW_CHANGE_MEMORY = 10.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class View:
     """Points (p, 2) of a scan in the base's frame, and the odometry pose at the scan."""
 

@@ -6,13 +6,14 @@ import math
 from dataclasses import dataclass
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats
 from .loop_status import LoopStatus
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LoopMatch:
     """Match of the keyframes up to `keyframe` with those around `old`.
 
@@ -52,7 +53,7 @@ class Check:
         return reached / required if required > 0.0 else math.inf
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LoopDecision:
     """Decision on closing a loop, with the data that it rests on.
 

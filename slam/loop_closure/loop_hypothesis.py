@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from .decision import LoopDecision, LoopMatch
@@ -49,7 +50,7 @@ class LoopHypothesis:
         return sum(at >= travelled for at in self.contradictions)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class OldPlace:
     """Keyframes (k,) of a submap of an old place, and their poses (k, 3) in its frame."""
 
@@ -57,7 +58,7 @@ class OldPlace:
     poses: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LoopAgreementState:
     """State of the search for agreement, as it is saved with a session.
 

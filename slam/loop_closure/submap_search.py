@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.segments import Floats
@@ -58,7 +58,7 @@ NO_PRIOR = MIN_INFORMATION * np.eye(3)
 UNDETERMINED = 1e-2 * np.eye(3)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Submap:
     """Points (p, 6) of some keyframes with their normals, in the frame of one of them, and their distance field."""
 
@@ -66,7 +66,7 @@ class Submap:
     field: DistanceField
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SubmapMatch:
     """Pose of a submap relative to an old one.
 

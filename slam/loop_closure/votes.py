@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from .criteria import admits_closure, differ, fits, is_determined
 from .look import Look
@@ -23,7 +24,7 @@ Search: TypeAlias = Callable[[Look, int], Sequence[SubmapMatch]]
 """Returns the matches of a look with the place around an old keyframe."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Vote:
     """Match of a look with the place around an old keyframe, and the motion [x, y, heading] in the map that follows."""
 
@@ -32,7 +33,7 @@ class Vote:
     motion: se2.Pose
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Votes:
     """All votes of a look.
 

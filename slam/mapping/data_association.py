@@ -8,12 +8,12 @@ that do not overlap along it, as when it is partly hidden by an obstacle.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.immutable import immutable
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
@@ -48,7 +48,7 @@ AMBIGUOUS_CORNER = 0.15
 UNMATCHED, AMBIGUOUS = -1, -2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RowAssociation:
     """Landmarks associated with the segments (n,) and corners (m,) of a scan, as rows of the local map.
 
@@ -79,7 +79,7 @@ class RowAssociation:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LandmarkAssociation:
     """Landmarks associated with the segments (n,) and corners (m,) of a keyframe, as landmark ids.
 

@@ -16,12 +16,12 @@ has the covariance C - C H' (H C H' + R)^-1 H C.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from ..graph.factors import MATCH_KINDS, Factor, FactorKind, FactorsOfKind, by_kind
@@ -41,7 +41,7 @@ WALL_CONDITIONS = FactorKind.WALL_OFFSET, FactorKind.PLAN_WALL, FactorKind.PINNE
 POSE_CONDITIONS = FactorKind.LOOP, *MATCH_KINDS, FactorKind.PINNED_POSE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Conditions:
     """Keyframes `old` and `new` (m,) with the same drift along the unit vectors `direction` (m, 2).
 

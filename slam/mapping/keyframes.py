@@ -8,12 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from .data_association import LandmarkAssociation
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class KeyframeObservations:
     """Features of a keyframe and the landmarks they were associated with.
 
@@ -28,7 +29,7 @@ class KeyframeObservations:
     new_walls: Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LandmarkIds:
     """Ids of the landmarks that a keyframe observed, for its segments (n,) and corners (m,); -1 for ambiguous ones."""
 
@@ -40,7 +41,7 @@ class LandmarkIds:
         return self
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class KeyframeRecords:
     """Data of k keyframes besides the factor graph, as saved with a session; see the attributes of `MappedKeyframes`.
 
@@ -58,7 +59,7 @@ class KeyframeRecords:
     correlated_drift: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class KeyframeMotion:
     """Motion [x, y, heading] from an earlier keyframe, `start`, to a new one.
 
@@ -72,7 +73,7 @@ class KeyframeMotion:
     correlated_drift: Floats = field(default_factory=lambda: np.zeros((2, 2)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RelativeScanMatch:
     """Scan match: pose `relative` of a new keyframe in the frame of the points of an earlier one, `start`.
 

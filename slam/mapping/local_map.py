@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers
@@ -31,7 +32,7 @@ MAX_PREDICTED_TURN_VARIANCE = (MAX_HEADING_DIFFERENCE / NORMAL_LIMIT) ** 2  # Or
 LOCAL_MAP_MARGIN = 2.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class LocalMap:
     """n walls and m corners near a keyframe.
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..formatting import counted
 from ..geometry.segments import Floats, Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MapWalls:
     """n walls of the map.
 
@@ -59,7 +59,7 @@ def _along(frame: Floats, extent: Floats) -> Floats:
     return np.asarray(frame[:, None, :2] + extent[..., None] * direction[:, None, :])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MapCorners:
     """m corners of the map.
 

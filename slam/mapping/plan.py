@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.immutable import immutable
+
 from ..geometry.segments import Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Plan:
     """n straight pieces of walls, in the frame of the plan.
 

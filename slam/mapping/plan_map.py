@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers, Segments
@@ -43,7 +43,7 @@ VIEWS_END = -1000.0
 VIEW_NOISE = 0.01
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PlanView:
     """View from a place in the plan, with the axes of the plan.
 
@@ -64,7 +64,7 @@ class PlanView:
         return np.array([*self.position.tolist(), 0.0])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PlanMap:
     """Visible walls of a plan and views of them.
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..errors import MapError
@@ -35,7 +35,7 @@ MAX_VIEWS = 20_000
 CHUNK = 1024
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RaysFromPlace:
     """Rays from a place.
 

@@ -8,11 +8,10 @@ least squares (Baarda 1968).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from .data_association import ASSOCIATION_GATE
@@ -26,7 +25,7 @@ MIN_COMMON_LENGTH = 0.5
 MIN_REST = 1e-3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PlanWall:
     """What a plan states about a wall of the map.
 

@@ -7,12 +7,12 @@ segment that it meets, so its cost does not depend on the size of the plan.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 
@@ -25,7 +25,7 @@ MAX_CELLS = 4_000_000
 MARGIN = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SegmentIndex:
     """Segments (n, 2, 2) by square cells.
 
@@ -56,7 +56,7 @@ class SegmentIndex:
         return cls(segments, low, cell, starts, listed)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Hits:
     """What rays from k places meet.
 

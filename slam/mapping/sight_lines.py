@@ -9,13 +9,13 @@ nearer one.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers
@@ -33,7 +33,7 @@ MIN_DEPTH = 2.0 * ON_WALL_DISTANCE
 MIN_CROSSING_SINE = 0.7
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallsInView:
     """The n active walls within reach of a scan, and what its sight lines show of their cells.
 

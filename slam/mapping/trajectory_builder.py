@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.growing_array import GrowingArray
 from ..geometry.segments import Floats
@@ -100,7 +100,7 @@ class TrajectoryBuilder:
         return at, result
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Scans:
     """n scans of a trajectory in one odometry segment.
 

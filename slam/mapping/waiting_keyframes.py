@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Segments
 from ..odometry.correlated_drift import embed_position_covariance
@@ -31,7 +31,7 @@ SOLVE_TURN = math.radians(45.0)
 FULL_READ_BACK_INTERVAL = 20
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WaitingKeyframe:
     """Keyframe that has not been read back from the graph yet.
 

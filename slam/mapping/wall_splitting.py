@@ -16,11 +16,11 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from ..graph.factor_graph import CLOSING_UPDATES, FactorGraph
@@ -40,7 +40,7 @@ SPLIT_GATE = ASSOCIATION_GATE
 CANDIDATE_GATE = 0.25 * SPLIT_GATE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Stretch:
     """An observed stretch of a wall.
 
@@ -64,7 +64,7 @@ class Stretch:
         return {segment.keyframe for segment in self.segments}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Split:
     """Stretches of the wall `wall` that are another surface than the rest of it.
 

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from .free_space import (
@@ -64,7 +64,7 @@ Arrays = tuple[Floats, NDArray[np.int32], NDArray[np.int32], NDArray[np.uint8]]
 """Arrays of a field for compiled functions: origin, numbers of the tiles, tiles, seen cells."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class DistanceField:
     """Square grids around a place of the map.
 

@@ -7,12 +7,11 @@ point is used once: those on segments that are paired with walls count by these,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.immutable import immutable
 
 from ..geometry.angles import axes_of
 from ..geometry.pose_steps import difference, move_back, wrap_heading
@@ -36,7 +35,7 @@ MATCH_HEADING_GATES = np.radians([10.0, 10.0, 9.0, 7.0, 6.0, 5.0, 5.0, 5.0])
 LINEAR_RANGE_INFORMATION = np.diag(np.array([MAX_DISTANCE, MAX_DISTANCE, MAX_TURN]) ** -2.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Registration:
     """Result of registering a scan with the local map.
 

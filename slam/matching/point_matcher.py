@@ -17,12 +17,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.angles import wrap_angle
@@ -74,7 +75,7 @@ MAX_UNSEARCHED = 3
 MAX_SEARCH_POINTS = 60
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Prediction:
     """Prediction of a pose, with a Cauchy kernel of the scale MATCH_CAUCHY_SCALE.
 
@@ -123,7 +124,7 @@ def information_of(sigmas: Floats) -> Floats:
     return information
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PointMatch:
     """Match of a scan's points.
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..geometry.range_bias import without_range_bias
 from ..geometry.segments import CornerPoints, Floats, Segments
@@ -12,7 +14,7 @@ from .point_matcher import POINT_SPACING
 from .scan_points import ScanPoints, surface_points
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanFeatures:
     """Features of one scan, in the base's frame.
 

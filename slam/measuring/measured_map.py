@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from drivers.immutable import immutable
 
 from .map_measurements import measure_map
 from .measurement import Measurement
@@ -12,7 +13,7 @@ from .rooms import Room, find_rooms
 from .wall_map import WallMap
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MeasuredMap:
     """Measurements, rooms and openings of a map."""
 

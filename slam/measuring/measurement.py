@@ -7,12 +7,12 @@ joint covariance C of all walls, with J the derivative of the quantity by offset
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from features.corner_angle import MIN_SINE
 
 from ..geometry.segments import Floats
@@ -44,7 +44,7 @@ UNITS = {Kind.ANGLE: "rad", Kind.AREA: "m2"}
 """Units of the kinds; the others are in metres."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Measurement:
     """A measured quantity.
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import StrEnum
 from itertools import combinations
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from .outlines import CORNER_MARGIN, MAX_BRIDGE, crossing
@@ -50,7 +51,7 @@ class OpeningKind(StrEnum):
     PASSAGE = "passage"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Opening:
     """A door or passage.
 
@@ -80,7 +81,7 @@ class Opening:
         return float(np.hypot(*(self.ends[1] - self.ends[0])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Gap:
     """Gap between two pieces of one face of a wall.
 

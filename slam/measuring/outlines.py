@@ -13,13 +13,13 @@ ends that are near each other, the outline steps from one to the other: at an op
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.immutable import immutable
 from features.corner_angle import MIN_SINE
 
 from ..geometry.segments import Floats, Integers
@@ -43,7 +43,7 @@ MIN_JUNCTION_SINE = 0.5
 MIN_CUT_SPACING = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Edges:
     """n observed stretches of walls, none of which continues through a corner.
 

@@ -14,10 +14,12 @@ one after the other, which gives the same result; later walls are tested with wh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.special import ndtri
+
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from ..mapping.map_features import MapCorners
@@ -34,7 +36,7 @@ MIN_DEVIATION = 1e-9
 """Radians; directions that earlier hypotheses have made equal need none of their own."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RegularMap:
     """A map with the hypotheses imposed that its covariance supports.
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from .measurement import Kind, Measurement, are_parallel, interior_angle, side_length
@@ -18,7 +19,7 @@ LABEL_ASPECT = 6.0
 """Ratio of a label's width to its height."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Outline:
     """A closed outline of v vertices.
 
@@ -80,7 +81,7 @@ class Outline:
         return not crossing(starts[:, None], ends[:, None], starts[None], ends[None]).any()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Room:
     """A room.
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
@@ -13,7 +14,7 @@ from ..geometry.wall_intersection import intersect_walls
 from ..mapping.map_features import MapCorners, MapWalls
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallGeometry:
     """n walls of a map, whose errors are independent, and its m corners.
 
@@ -80,7 +81,7 @@ class WallGeometry:
         return point, jacobian
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallMap(WallGeometry):
     """n walls of a map with their joint covariance, its m corners, and the path that was driven.
 

@@ -10,11 +10,12 @@ no jump, poses far from odometry are not searched, and a motion of kilometres ex
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Odometry
 
 from .history import wheel_travel
@@ -82,7 +83,7 @@ class ContinuousOdometry:
         return _Reading(reading, replace(reading, pose=earlier.pose))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Reading:
     """A reading as it was read, and as it is used: in the frame of the first one."""
 

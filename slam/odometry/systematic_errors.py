@@ -11,12 +11,13 @@ All estimates are medians, which single gross errors do not affect.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
@@ -45,7 +46,7 @@ MAX_TURN_FACTOR = 2.0
 MAX_STRAIGHT_TURN = math.radians(4.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SystematicErrors:
     """Systematic errors of wheel odometry, see the module.
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ..errors import MapError
 from ..estimation.refinement import refine
@@ -26,7 +27,7 @@ from ..reporting.results import publish_results
 LISTED_SHIFTS = 5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class OptimisedSession:
     """Result of optimising a session.
 

@@ -13,6 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Scan
 from features.normal_limits import NORMAL_LIMIT
 
@@ -75,7 +76,7 @@ class SweepMotion:
         return float(self.travel.max(initial=0.0)) + self.offset
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class DeskewedScan:
     """A scan as seen from the lidar's pose at `stamp`, when odometry was at `odometry`.
 

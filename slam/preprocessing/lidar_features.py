@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 from drivers.messages import Scan
 from features import Features, LearnedNoise
 
@@ -25,7 +26,7 @@ from .extraction import build_extractor
 from .motion_uncertainty import add_motion_uncertainty, displaced
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ExtractedScan:
     """De-skewed scan with its features in the lidar's frame, and the lidar's mount."""
 

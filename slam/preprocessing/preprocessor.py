@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Odometry, Scan
 from features import LearnedNoise
 
@@ -32,7 +33,7 @@ NO_FEATURES = ScanFeatures(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ProcessedScan:
     """Features and points of one scan in the base's frame, corrected to the pose at `stamp`.
 

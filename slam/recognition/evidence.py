@@ -11,12 +11,12 @@ Equations, whose symbols the code uses: docs/mathematics.md#unknown-start.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from .placements import Placement
@@ -39,7 +39,7 @@ PRIOR_COUNT = 2.0
 ALIKE_OFFSETS = np.linspace(-6.0, 0.0, 61)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class CellFits:
     """Fit (n,) of the cells of both maps, 0 to 1.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..formatting import percent
 from ..geometry.pose_covariance import position_sigma
@@ -71,7 +72,7 @@ DOUBTED = Expectation(prior=0.05, error=RECOGNISED.error)
 OVERLAP = Expectation(prior=0.5, error=0.0001, whole=False)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PlacedSubmap:
     """Submap that was placed in another map.
 
@@ -93,7 +94,7 @@ class PlacedSubmap:
     known: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Location:
     """Decision on the placement of a drive in a map.
 

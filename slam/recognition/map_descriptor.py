@@ -5,19 +5,20 @@ A submap is searched in a map by the descriptors of both.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.landmarks import Landmarks
 from ..mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MapDescriptor:
     """n walls in one frame.
 

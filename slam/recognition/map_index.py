@@ -6,12 +6,12 @@ Pairs of walls of a submap vote for its pose in the whole map, and the poses wit
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
 from ..loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN
@@ -27,7 +27,7 @@ MAX_CANDIDATES = 64
 MIN_WALLS = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MapIndex:
     """Map prepared for a search from any start: its descriptor and pair table. Not updated when the map changes."""
 

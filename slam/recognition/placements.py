@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ..geometry.pose_covariance import position_sigma, squared_distance
 from ..geometry.segments import Floats, Integers
@@ -33,7 +33,7 @@ RANDOM_CANDIDATES = 16
 ALIGNMENT_SIGMAS = np.array([SUBMAP_OFFSET_GATES[-1], SUBMAP_OFFSET_GATES[-1], 0.5 * SUBMAP_HEADING_GATES[-1]])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Uncertainty:
     """Uncertainty of a drive whose map is already in the frame of the other one, but has drifted.
 
@@ -64,7 +64,7 @@ class Uncertainty:
         return 4.0 / 3.0 * math.pi * math.sqrt(MAX_SQUARED_DISTANCE**3 * float(np.linalg.det(self.covariance)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Placement:
     """Placement of n submaps in another map.
 

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import LocalField
@@ -42,7 +42,7 @@ THINNED_SPACING = 2.0 * FIELD_CELL
 MAX_REACH = 1000.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class CellPoints:
     """Points (p, 6) with normals, in the order of the numbers (p,) of the cells of the map in which they lie.
 
@@ -65,7 +65,7 @@ class CellPoints:
         _add_misfits(field.arrays, self.points, self.cells, pose, misfits, known)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScannedMap:
     """Known map with the points of its keyframes, in which a drive is searched for.
 
@@ -86,7 +86,7 @@ class ScannedMap:
         return float(np.count_nonzero(self.field.seen)) * SEEN_CELL**2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SubmapScan:
     """Submap of a drive with the points of its scans, in the frame of its last keyframe.
 
@@ -104,7 +104,7 @@ class SubmapScan:
     reach: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class DriveSubmap:
     """Submap in its own drive's map.
 
@@ -118,7 +118,7 @@ class DriveSubmap:
     points: CellPoints
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScannedDrive:
     """Drive in submaps that are searched for in a known map.
 
@@ -201,7 +201,7 @@ def thin(points: Floats) -> Floats:
     return np.ascontiguousarray(points[np.sort(first)])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _CellGrid:
     """Squares of a map: lower corner (2,) of the first one, their number along x and y (2,), and their side, metres."""
 

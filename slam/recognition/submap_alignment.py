@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.immutable import immutable
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
@@ -31,7 +31,7 @@ ALIGNMENT_REGULARISATION = 1e-3
 MAX_ALIGNMENT_SHIFT = 3.0 * DISTINCT_SHIFT
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Alignment:
     """Submap aligned with a map.
 
@@ -54,7 +54,7 @@ class Alignment:
         return float(self.on_map.sum())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallSamples:
     """p points on a submap's walls: row of the wall (p,), and metres along it from its frame (p,)."""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from drivers import se2
+from drivers.immutable import immutable
 
 if TYPE_CHECKING:
     from ..io.sessions import StoredSession
@@ -23,7 +24,7 @@ class Save:
     directory: Path
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Restart:
     """Discard the map and begin with a session, or with an empty map; see `RunSetup` for the members."""
 

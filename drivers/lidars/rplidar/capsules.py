@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...immutable import immutable
 from ...messages import Floats
 from ..framing import PacketFramer, PacketLayout
 from ..measurements import (
@@ -35,7 +36,7 @@ between were lost, or that the head seemed to turn back.
 """
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class CapsuleReturns:
     """Content of m capsules of N samples.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
@@ -54,7 +54,7 @@ _Tile: TypeAlias = tuple[int, int, int, int]
 """Column and row of a tile, group of parts of the map, and 0 or 1 for the keyframes with even or odd numbers."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class FullMapMatch:
     """Match of a scan to the whole map.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
 from ...graph.factors import Factor
@@ -24,7 +24,7 @@ from .landmark_recount import recompute_covariances, recount_observations
 from .scan_history import ScanHistory
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class IterationResult:
     """Result of one iteration.
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
 from ...mapping.convergence import settle_range_bias
@@ -22,7 +22,7 @@ MAX_ITERATIONS = 3
 CONVERGED_SHIFT = 0.001
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class RefinementResult:
     """Result of refining a session.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats, Integers
 from ...mapping.trajectory_builder import TrajectoryBuilder
@@ -22,7 +22,7 @@ from ..keyframe_motions import UNMEASURED_MOTION_SIGMAS
 WRONG_ODOMETRY_SIGMAS = np.array([0.5, 0.5, 0.3])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanMotions:
     """Odometry's motions from each of n scans to the next one.
 
@@ -48,7 +48,7 @@ class ScanMotions:
         return motions, np.where(self.unmeasured[:, None, None], np.diag(UNMEASURED_MOTION_SIGMAS**2), covariances)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanHistory:
     """n processed scans in time order, k of which are keyframes.
 

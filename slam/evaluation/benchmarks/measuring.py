@@ -14,6 +14,7 @@ from statistics import NormalDist
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.simulation import Simulation, World
 
 from ...estimation.joint_covariance import joint_wall_covariance
@@ -31,7 +32,7 @@ INTERVAL = NormalDist().inv_cdf(0.5 + PROBABILITY / 2)
 """Half width of the interval, in standard deviations: 1.96."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MeasuredDrive:
     """Errors of the measurements of one drive divided by their standard deviations, (n,) for each kind."""
 

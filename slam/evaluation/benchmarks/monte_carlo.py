@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drivers.immutable import immutable
 from features import ESTIMATORS, LineFit, Noise
 from features.conversions import covariance_through, polar_of_uv
 
@@ -65,7 +66,7 @@ class Wall:
         return FIT(self.measure(random, noise), self.bearings, noise)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Deviations:
     """Offsets of fitted lines from the true wall.
 
@@ -95,7 +96,7 @@ def deviations(wall: Wall, seed: int, *, beyond: float = 0.5, places: int = 41) 
     return Deviations(along, found, np.sqrt(variance))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Cloud:
     """Many estimates of one quantity, and the covariance of one of them.
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Message, Odometry, Scan
 
 from ...config import Config
@@ -33,7 +34,7 @@ METRES_PER_RADIAN = 0.5  # weight of the heading in the choice of the nearest ke
 ODOMETRY_MARGIN = 0.5  # seconds of odometry after a submap's last scan, to cover its sweep
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SplitRecording:
     """A recording split in two halves.
 

@@ -24,6 +24,8 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.immutable import immutable
+
 from ...errors import PoseGraphError
 from ...geometry.segments import Floats, Integers
 from .model import Edges, PoseGraph
@@ -50,7 +52,7 @@ IDS = range(-(2**63), 2**63)
 MAX_QUOTED = 40
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PoseGraphFile:
     """A graph read from a file.
 

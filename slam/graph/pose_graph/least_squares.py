@@ -6,12 +6,12 @@ The variables are x, y, heading of each pose and x, y of each landmark; steps ar
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.sparse import coo_array, csc_array, eye_array
 from scipy.sparse.linalg import SuperLU, splu
 
+from drivers.immutable import immutable
 from drivers.se2 import wrap
 
 from ...geometry.segments import Floats, Integers
@@ -35,7 +35,7 @@ def with_variables(graph: PoseGraph, x: Floats) -> PoseGraph:
     return graph.with_estimate(poses, x[graph.poses.size :].reshape(-1, 2).copy())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Term:
     """Edges of one kind: their error function, and the indices (k, v) of their variables."""
 

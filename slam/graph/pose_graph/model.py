@@ -12,17 +12,19 @@ inverse of the measurement's covariance.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats, Integers
 
 Flags = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Edges:
     """k measurements of one kind, with d components each."""
 
@@ -45,7 +47,7 @@ class Edges:
         return Edges(self.source[mask], self.target[mask], self.measured[mask], self.information[mask], self.line[mask])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PoseGraph:
     """Poses, landmarks and edges."""
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from drivers.immutable import immutable
 
 from .initialisation import initialise
 from .least_squares import NormalEquations, edge_chi2, variables_of, with_variables
@@ -14,7 +14,7 @@ from .robust import solve_robustly
 from .spanning_tree import components
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class OptimisedGraph:
     """An optimised graph."""
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ...checks.weak_places import KeyframePath, WeakPlace, find_weak_places, sigma_across
 from ...errors import MapError
@@ -19,7 +19,7 @@ STEP = 0.25
 """Metres along a wall between the places at which its standard deviation is computed."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallStretch:
     """A stretch of a wall, all of it in one class of uncertainty.
 

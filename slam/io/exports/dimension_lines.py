@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
+
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
 from ...measuring.measurement import Kind, Measurement
@@ -27,7 +28,7 @@ CHARACTER_WIDTH = 0.8
 """Width of a character of common fonts with the space to the next one, as a share of the height of capital letters."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class DimensionLine:
     """A dimension line.
 

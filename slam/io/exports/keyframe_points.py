@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Odometry
 
 from ...geometry.segments import Floats
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..sessions import StoredSession
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class KeyframePoints:
     """Returns of a keyframe's scan in the base's frame, metres, as 32-bit floats.
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.compiled import compiled
+from drivers.immutable import immutable
 
 from ...errors import MapError
 from ...geometry.segments import Floats
@@ -49,7 +50,7 @@ class Thresholds:
     free: float = 0.1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Occupancy:
     """Occupancy of square cells.
 

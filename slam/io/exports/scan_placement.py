@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import Message, Odometry, Scan, on_clock_of_first
 
 from ...config import Config
@@ -16,7 +16,7 @@ from ...odometry.history import OdometryHistory
 from ..tum import STAMP_TOLERANCE, Trajectory
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PlacedScan:
     """Scan in the map.
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from ruamel.yaml.error import YAMLError
 from scipy.ndimage import binary_closing, binary_dilation, distance_transform_edt
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...errors import MapError, first_line
 from ...extras import require_extra
@@ -41,7 +41,7 @@ HEADER = re.compile(rb"(P[25])(?:\s|#[^\n]*\n)+(\d{1,9})(?:\s|#[^\n]*\n)+(\d{1,9
 Cells = NDArray[np.bool_]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class GridMap:
     """Occupied and free cells (rows, columns), the first row at the lowest y; the others are unknown.
 

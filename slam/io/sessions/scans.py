@@ -7,11 +7,12 @@ same estimate as an uninterrupted run.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 from ...bounds import MAX_MAGNITUDE
 from ...errors import MapError
@@ -44,7 +45,7 @@ MEASURED = "measured"
 SEGMENT_IDS, CORNER_IDS = "segment_landmark_ids", "corner_landmark_ids"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class ScanRecords:
     """All scans of a session, the trajectory through them, and the keyframes among them.
 
@@ -74,7 +75,7 @@ def write_scans(file: Path, records: ScanRecords) -> None:
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _Values:
     """Values of all n scans, of which m have a pose on the trajectory.
 

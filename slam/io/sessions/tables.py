@@ -8,7 +8,6 @@ well.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 from ...bounds import MAX_DEVIATION, MAX_LENGTH, MAX_MAGNITUDE, MIN_DEVIATION
 from ...errors import MapError, first_line
@@ -38,7 +39,7 @@ ALWAYS_ALLOWED = 1 << 26
 """Bytes of a table in memory, whatever the ratio."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Ragged:
     """Column with any number of values in each of its n rows.
 

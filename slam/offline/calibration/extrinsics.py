@@ -18,12 +18,13 @@ estimate.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, replace
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from drivers import se2
+from drivers.immutable import immutable
 from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
 from drivers.timing.mount_heading import mount_equations
 
@@ -46,7 +47,7 @@ ROBUST_SIGMAS = 3.0
 """Standard deviations from which on residuals are down-weighted: a scan may be registered wrongly, a wheel may slip."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class OdometryCorrection:
     """Correction of the odometry's systematic errors.
 
@@ -71,7 +72,7 @@ class OdometryCorrection:
         return np.column_stack([poses[0, :2] + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)]), heading])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Calibration:
     """Result of a calibration.
 

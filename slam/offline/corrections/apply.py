@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...errors import MapError
 from ...estimation.refinement import match_trajectory
@@ -37,7 +37,7 @@ from .pin_places import PinPlaces
 from .pins import apply_pins
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class CorrectedSession:
     """Result of correcting a session.
 

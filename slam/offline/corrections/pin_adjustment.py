@@ -11,13 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
 from scipy.special import chdtrc
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...errors import MapError
 from ...geometry.segments import Floats
@@ -42,7 +42,7 @@ MAX_PAIRS = 200
 """Pairs of poses, the farthest ones, from which the motion is searched."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Adjustment:
     """Result of an adjustment of n pins.
 

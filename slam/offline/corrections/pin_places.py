@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...errors import MapError
 from ...geometry.segments import Floats, Integers
@@ -24,7 +25,7 @@ UNMATCHED = np.diag(np.array([0.1, 0.1, 0.05]) ** -2.0)
 """Information (1/m^2, 1/m^2, 1/rad^2) of a scan's pose relative to its keyframe by odometry, some decimetres away."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PinTarget:
     """What a pin is about.
 

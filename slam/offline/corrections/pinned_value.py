@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class PinnedValue:
     """A pin and what it states about the map.
 

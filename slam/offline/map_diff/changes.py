@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
 
@@ -34,7 +34,7 @@ DIFFERENCES = (ChangeKind.MOVED, ChangeKind.END_MOVED, ChangeKind.GONE, ChangeKi
 """Kinds that show a difference of the building; the others show one of the drives."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Change:
     """A change of a wall.
 
@@ -62,7 +62,7 @@ class Change:
     seen: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MapDiff:
     """Comparison of two maps.
 

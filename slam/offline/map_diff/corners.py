@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 from features.corner_angle import MIN_SINE
 
 from ...geometry.segments import Floats
@@ -20,7 +20,7 @@ from .changes import Change, ChangeKind, MapDiff
 END_MARGIN = (END_ERROR_CELLS + 1) * WALL_CELL
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class CornerChange:
     """A change of a corner.
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...geometry.normal_distribution import NORMAL_MEDIAN
 from ...geometry.segments import Floats
@@ -28,7 +28,7 @@ from .surveys import Survey
 MIN_TYPICAL = 2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class EndShift:
     """An end of a wall that both drives have seen.
 

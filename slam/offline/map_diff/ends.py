@@ -7,12 +7,12 @@ The ends of a landmark may be others: the limit of what was seen, or of what som
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...geometry.normal_distribution import NORMAL_SCALE
 from ...geometry.segments import Floats, Integers
@@ -33,7 +33,7 @@ MAX_WIDTH = 2.0 * WALL_CELL
 LEAST_INFORMATION = 1e-4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallEnd:
     """End of a wall.
 
@@ -55,7 +55,7 @@ class WallEnd:
     gradient: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class WallsOfScan:
     """What the p beams of a scan show of w walls.
 
@@ -168,7 +168,7 @@ def _end(survey: Survey, dependences: Mapping[int, _PoseDependence], sightings: 
     return WallEnd(wall, along, side, len(sightings), scatter, variance, gradient)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class _PoseDependence:
     """How the pose of a scan follows from the walls that it shows.
 

@@ -9,12 +9,11 @@ changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...geometry.normal_distribution import PLANE_MEDIAN
 from ...geometry.segments import Floats, Integers
@@ -27,7 +26,7 @@ OUTLIER_PROBABILITY = 1e-3
 MAX_ITERATIONS = 10
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Movements:
     """Movements of n pairs of walls.
 

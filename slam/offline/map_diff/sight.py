@@ -9,12 +9,12 @@ number of those of one drive then has a hypergeometric distribution (Fisher's ex
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ...geometry.segments import Floats, Integers
@@ -28,7 +28,7 @@ from .surveys import Survey
 Gate = tuple[float, float]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class SeenThrough:
     """Stretch of a wall that scans have seen through.
 
@@ -51,7 +51,7 @@ class SeenThrough:
         return exact_p_value(Votes(self.through, self.seen), Votes(*self.own))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Sightings:
     """What the scans of one map show of the walls of another one.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
 from ...errors import MapError
 from ...geometry.segments import Floats
@@ -22,7 +22,7 @@ from ..map_merging.session_scans import drive_of, map_of
 from ..wall_alignment import MIN_COMMON, align_maps
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Survey:
     """A settled session.
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from drivers.immutable import immutable
 
 from ...errors import MapError
 from ...io.sessions import StoredSession
@@ -13,7 +14,7 @@ from .pairwise_merge import merge_pair
 from .session_scans import drive_of, map_of
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class MergedSession:
     """Session merged from several, before refinement.
 

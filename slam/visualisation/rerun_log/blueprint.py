@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+
+from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
 from .colours import BACKGROUND, GRID
@@ -43,7 +44,7 @@ def grid_spacing(size: float) -> float:
     return spacing
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Extent:
     """Content of a log, as far as the layout depends on it.
 

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.immutable import immutable
 
 from ...events import KeyframeAdded
 from ...geometry.segments import Floats, Integers
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class FeatureMatches:
     """Association of n features of one kind.
 

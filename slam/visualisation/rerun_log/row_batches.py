@@ -11,6 +11,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from drivers.immutable import immutable
+
 from .timelines import time_column
 
 Archetype: TypeAlias = Any  # Rerun has no common type for loggable values
@@ -18,7 +20,7 @@ Values: TypeAlias = Sequence[Any] | NDArray[Any]
 """Values of a component of a row."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Row:
     """A row of a batch."""
 

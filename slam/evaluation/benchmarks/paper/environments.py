@@ -6,10 +6,9 @@ fits, and all fits get the same rays.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
+from drivers.immutable import immutable
 from drivers.simulation import World, load_world
 from drivers.simulation.raycast import cast_beams
 from features import Noise, arras_siegwart
@@ -35,7 +34,7 @@ EXACT = Noise(1e-4, 1e-6)
 """For fits to noise-free rays, whose covariance is not used."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Segment:
     """Consecutive rays on one wall.
 
@@ -47,7 +46,7 @@ class Segment:
     wall: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Environment:
     """View of a world from one pose, in the sensor's frame.
 

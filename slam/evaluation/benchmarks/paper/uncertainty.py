@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from drivers.immutable import immutable
 from features import ESTIMATORS
 
 from ....geometry.segments import Floats
@@ -33,7 +33,7 @@ CLEAR = 60.0
 """Millimetres, both axes together. Only corners below it clearly show the excess of the paper's Siadat columns."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@immutable
 class Uncertainties:
     """Uncertainties of one environment's m corners by method.
 
