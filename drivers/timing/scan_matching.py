@@ -14,9 +14,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from .. import se2
-from ..compiled import compiled
+from ..compiled import compiled, inlined
 from ..immutable import immutable
 from ..messages import Floats, Scan
 
@@ -53,10 +54,15 @@ REGULARISATION = 1e-9 * np.eye(3)
 
 @immutable
 class Surface:
-    """Points of a scan with normals, as reference of a match: all (n, 2), unit normals."""
+    """Points of a scan with normals, as reference of a match.
+
+    points, normals  (n, 2) by increasing x; unit normals
+    order            (n,) place of each point in the order of the bearings
+    """
 
     points: Floats
     normals: Floats
+    order: NDArray[np.int64]
 
 
 @immutable
@@ -110,7 +116,8 @@ def surface(points: Floats) -> Surface | None:
         return None
     rows = np.flatnonzero(smooth)
     rows = rows[:: -(-len(rows) // MAX_REFERENCE_POINTS)]
-    return Surface(points[rows], normals[rows])
+    order = np.argsort(points[rows, 0])
+    return Surface(points[rows[order]], normals[rows[order]], order)
 
 
 def find_rotation(scan: Scan, reference: Scan) -> float:
@@ -156,7 +163,7 @@ def match(points: Floats, reference: Surface, guess: se2.Pose) -> Match | None:
     points = np.ascontiguousarray(points[:: max(1, -(-len(points) // MAX_POINTS))])
     pose, reach = np.array(guess, dtype=np.float64), FIRST_REACH
     for _ in range(MAX_ITERATIONS):
-        equations = _normal_equations(points, reference.points, reference.normals, pose, reach)
+        equations = _normal_equations(points, reference.points, reference.normals, reference.order, pose, reach)
         information, gradient, found, weight, squares, loss = equations
         if found < MIN_CORRESPONDENCES:
             return None
@@ -172,12 +179,13 @@ def match(points: Floats, reference: Surface, guess: se2.Pose) -> Match | None:
 
 
 @compiled
-def _normal_equations(points, reference, normals, pose, reach):  # type: ignore[no-untyped-def]
+def _normal_equations(points, reference, normals, order, pose, reach):  # type: ignore[no-untyped-def]
     """Return the information (3, 3) and the gradient (3,) of a pose by points (n, 2), and sums over those in reach.
 
     These are their number, and the sums of their weights, of their weighted squared errors and of their log-likelihoods
-    log(1 + e^2 / s^2). A point is in reach if its nearest reference point (m, 2) is nearer than `reach` metres; for the
-    some hundred points of a scan, to try all of these takes less time than to build a search tree.
+    log(1 + e^2 / s^2). A point is in reach if its nearest reference point is nearer than `reach` metres, the first one
+    in their `order` (m,) of several. The reference points (m, 2) are sorted by x, so that only those up to `reach` to
+    either side are compared.
     """
     information, gradient = np.zeros((3, 3)), np.zeros(3)
     found, weights, squares, loss, jacobian = 0, 0.0, 0.0, 0.0, np.empty(3)
@@ -186,9 +194,11 @@ def _normal_equations(points, reference, normals, pose, reach):  # type: ignore[
         lever_x, lever_y = c * points[k, 0] - s * points[k, 1], s * points[k, 0] + c * points[k, 1]
         x, y = pose[0] + lever_x, pose[1] + lever_y
         nearest, row = reach**2, -1
-        for j in range(len(reference)):
+        for j in range(_first_in_reach(reference, x, reach), len(reference)):
+            if reference[j, 0] - x >= reach:
+                break
             squared = (x - reference[j, 0]) ** 2 + (y - reference[j, 1]) ** 2
-            if squared < nearest:
+            if squared < nearest or (squared == nearest and row >= 0 and order[j] < order[row]):
                 nearest, row = squared, j
         if row < 0:
             continue
@@ -203,6 +213,19 @@ def _normal_equations(points, reference, normals, pose, reach):  # type: ignore[
         found, weights, squares = found + 1, weights + weight, squares + weight * error**2
         loss += math.log1p((error / SCALE) ** 2)
     return information, gradient, found, weights, squares, loss
+
+
+@inlined
+def _first_in_reach(points, x, reach):  # type: ignore[no-untyped-def]
+    """Return the first row of points (m, 2), sorted by x, that is not `reach` or more before `x`, metres."""
+    low, high = 0, len(points)
+    while low < high:
+        middle = (low + high) // 2
+        if x - points[middle, 0] >= reach:
+            low = middle + 1
+        else:
+            high = middle
+    return low
 
 
 def warm_up() -> None:
