@@ -25,7 +25,7 @@ from ..preprocessing.preprocessor import ProcessedScan
 from ..preprocessing.scan_sequence import ScanSequence
 from .drive import Drive
 from .row_groups import consecutive_groups
-from .suspect import PARTS, UNCONSTRAINED, Suspect
+from .suspect import MAP, PARTS, UNCONSTRAINED, Suspect
 
 # Metres of driving that are reported if nothing determines them, and that a robot may have driven while its velocity
 # was not known: velocities hardly change before.
@@ -200,6 +200,26 @@ def unconnected_parts(mapper: Mapper, keyframe_stamps: Sequence[float], start: f
     text = f"the map has {len(apart) + 1} parts that no scan connects, {where}; {how}"
     last = float(keyframe_stamps[-1])
     return [Suspect(PARTS, stamps[0], stamps[0], last, mapper.keyframe_poses[firsts[0], :2].copy(), 1.0, text)]
+
+
+def contradicted_places(mapper: Mapper, looks: Sequence[float], keyframe_stamps: Sequence[float]) -> list[Suspect]:
+    """Return a suspect for looks at old places that contradict the map; empty without any.
+
+    looks            metres driven up to each, in order
+    keyframe_stamps  (k,) seconds
+
+    No closure of a loop has explained them, and no later look agrees with the map.
+    """
+    if not looks:
+        return []
+    keyframes = np.searchsorted(mapper.travelled, looks, side="right") - 1
+    first, last = int(keyframes[0]), int(keyframes[-1])
+    text = (
+        f"{len(looks)} looks over {looks[-1] - looks[0]:.0f} m do not fit what was mapped before at these places: the "
+        "pose may be wrong from here on, and places may be in the map twice"
+    )
+    times = float(keyframe_stamps[first]), float(keyframe_stamps[last])
+    return [Suspect(MAP, times[0], *times, mapper.keyframe_poses[first, :2].copy(), 1.0, text)]
 
 
 def _listed(times: Sequence[str]) -> str:

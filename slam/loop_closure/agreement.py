@@ -129,6 +129,11 @@ class LoopAgreement:
         return contradicted and any(h.support[-1].travelled == self._last_search for h in self._hypotheses)
 
     @property
+    def unresolved(self) -> tuple[float, ...]:
+        """Metres driven up to the looks that put the estimate in doubt, if nothing has resolved this since then."""
+        return tuple(self._contradictions) if len(self._contradictions) >= MIN_INDEPENDENT else ()
+
+    @property
     def refuted(self) -> bool:
         """True if looks contradict the motion that odometry measured between two parts, and support none near it.
 

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..checks.adapter import drive_of, unconnected_parts, unconstrained_stretches, unmatched_stretches
+from ..checks.adapter import (
+    contradicted_places,
+    drive_of,
+    unconnected_parts,
+    unconstrained_stretches,
+    unmatched_stretches,
+)
 from ..checks.report import find_suspects
 from ..checks.suspect import Suspect
 from ..estimation.map_view import final_result
@@ -50,7 +56,11 @@ def _all_suspects(
     """Return the findings of all checks, with texts that count times from the stamp `start` (seconds)."""
     mapper, trajectory, model = state.mapper, state.trajectory, state.odometry_model
     drive = drive_of(scans, segments, trajectory.at_scans(mapper.keyframe_poses), model, start)
-    suspects = [*unconnected_parts(mapper, state.keyframe_stamps, start), *find_suspects(drive)]
+    suspects = [
+        *unconnected_parts(mapper, state.keyframe_stamps, start),
+        *contradicted_places(mapper, state.loops.unresolved, state.keyframe_stamps),
+        *find_suspects(drive),
+    ]
     if model.measured:
         suspects += unmatched_stretches(mapper, trajectory, state.keyframe_stamps)
     sequence = ScanSequence.of(scans)

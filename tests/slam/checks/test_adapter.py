@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from slam.checks.adapter import drive_of, unconnected_parts
+from slam.checks.adapter import contradicted_places, drive_of, unconnected_parts
 from slam.config import Config
 from slam.mapping.odometry_segments import OdometrySegments
 from slam.odometry.error_model import OdometryModel
@@ -63,3 +63,12 @@ def test_only_the_first_of_many_parts_are_named() -> None:
     )
     (suspect,) = unconnected_parts(mapper, list(range(100, 130)), 100.0)  # type: ignore[arg-type]
     assert "30 parts that no scan connects, beginning at 0:01, 0:02, 0:03, 0:04 and 25 later times;" in suspect.text
+
+
+def test_looks_that_contradict_the_map_are_reported() -> None:
+    mapper = SimpleNamespace(travelled=[0.5 * k for k in range(30)], keyframe_poses=np.zeros((30, 3)))
+    stamps = list(range(100, 130))
+    (suspect,) = contradicted_places(mapper, [4.0, 6.0, 9.0, 12.0], stamps)  # type: ignore[arg-type]
+    assert (suspect.first, suspect.last) == (108.0, 124.0)
+    assert "4 looks over 8 m" in suspect.text
+    assert not contradicted_places(mapper, [], stamps)  # type: ignore[arg-type]

@@ -338,6 +338,16 @@ def test_looks_that_contradict_the_estimate_put_its_uncertainty_in_doubt(
     assert decision is None or decision.doubted
 
 
+@pytest.mark.parametrize("looks", [3, 4])
+def test_looks_that_put_the_estimate_in_doubt_are_unresolved_until_one_agrees_with_it(looks: int) -> None:
+    contradicted, agreement = [40.0, 46.0, 52.0, 58.0][:looks], LoopAgreement()
+    agreement.restore(LoopAgreementState(contradictions=contradicted), LocalField())
+    assert agreement.unresolved == (tuple(contradicted) if looks == 4 else ())
+    look, _ = matches_along_a_hall(StubMap(np.diag([0.3, 0.3, 0.03]) ** 2), [0.0] * 5)
+    agreement._count_votes(look, Votes(vote_for(np.zeros(3)), [], []), LocalField())
+    assert not agreement.unresolved
+
+
 def test_match_that_corrects_the_estimate_a_little_is_a_hypothesis_and_no_contradiction() -> None:
     look, _ = matches_along_a_hall(StubMap(np.diag([0.3, 0.3, 0.03]) ** 2), [0.0] * 5)
     agreement = LoopAgreement()
