@@ -1,8 +1,8 @@
 """Classes of data that are not changed after they are created.
 
-A frozen data class of Python tests this whenever an attribute is set. To create an object of it takes four times as
-long, and to create the class itself takes twice as long; a scan makes a hundred such objects, and each start of a
-command a hundred such classes. Here the type checker tests it.
+A frozen data class of Python tests at run time that no attribute is set. To create an object of four attributes takes
+3.6 times as long with this test, and to create the class 1.5 times as long; a scan makes a hundred such objects, and
+each start of a command a hundred such classes. Here the type checker tests it, and nothing does at run time.
 """
 
 from __future__ import annotations

@@ -37,15 +37,15 @@ MEAN_UNMAPPED = 0.09
 class Expectation:
     """Knowledge about the place of a drive before it is searched for, and what a decision requires.
 
-    prior   probability that the drive is in the map
-    error   largest probability of a wrong decision, if cells are independent; neighbouring ones are not quite
-    whole   true if the map is expected to contain all that the drive shows. If less is mapped, much of the building is
-            not mapped either, and a place there may look like one in the map.
+    prior         probability that the drive is in the map
+    error         largest probability of a wrong decision, if cells are independent; neighbouring ones are not quite
+    fully_mapped  true if the map is expected to contain all that the drive shows. If less is mapped, much of the
+                  building is not mapped either, and a place there may look like one in the map.
     """
 
     prior: float
     error: float
-    whole: bool = True
+    fully_mapped: bool = True
 
     @property
     def required(self) -> float:
@@ -60,7 +60,7 @@ STATED = Expectation(prior=0.95, error=0.001)
 LOST = Expectation(prior=0.5, error=0.001)
 # Of a drive that looks at old places have recognised about where the estimate has it. Origin: as LOST, but looks have
 # compared what is mapped.
-RETURNED = Expectation(prior=0.5, error=0.001, whole=False)
+RETURNED = Expectation(prior=0.5, error=0.001, fully_mapped=False)
 # Likewise, at another place. Origin: error by definition, the square: a surface that both maps show is a cell of each.
 # So furniture that was moved together counts twice, and to follow it would bend the map.
 RECOGNISED = Expectation(prior=0.5, error=RETURNED.error**2)
@@ -69,7 +69,7 @@ RECOGNISED = Expectation(prior=0.5, error=RETURNED.error**2)
 DOUBTED = Expectation(prior=0.05, error=RECOGNISED.error)
 # Of a session that may overlap with another one in a part, or not. Origin: chosen, a smaller error than that of a
 # robot, whose further scans can contradict the decision.
-OVERLAP = Expectation(prior=0.5, error=0.0001, whole=False)
+OVERLAP = Expectation(prior=0.5, error=0.0001, fully_mapped=False)
 
 
 @immutable
@@ -150,12 +150,11 @@ def number_of_places(area: float, near: Uncertainty | None) -> float:
 
 
 def least_mapped(log_density: float) -> float:
-    """Return the least share of what a drive shows that must be mapped, lest its place be one that is not mapped.
+    """Return the least share of what a drive shows that must be mapped, above 1 if no share suffices.
 
-    A place that is not mapped may look exactly like that of the placement. There, any share of what the drive shows is
-    mapped with the same probability; at the right place, the share that is not mapped is distributed exponentially. The
-    right place must be the more likely one of both, given this share and the uncertainty of the drive. Above 1 if it
-    never is.
+    A place that is not mapped may look exactly like the place of the placement. If the drive is there, all shares are
+    equally likely, and so are all poses within the uncertainty of the drive. If the placement is right, the share that
+    is not mapped is distributed exponentially. The placement must be the more likely of the two.
 
     log_density  of the placement by the uncertainty of the drive, see `Uncertainty.log_density`; 0 if there is none
     """
@@ -176,10 +175,12 @@ class _Comparison:
         self._new, self._old, self._placements, self._expected = new, old, placements, expected
         self._fits = [compare_cells(new, old, placement) for placement in placements]
         chances = chances_of_fit(self._fits)
-        self._densities = [0.0 if near is None else near.log_density(new.submaps[-1], p.poses[-1]) for p in placements]
-        self._evidence = np.array([evidence_of(*pair) for pair in zip(self._fits, chances, strict=True)])
-        self._evidence += self._densities
-        self._best = int(np.argmax(self._evidence))
+        self._log_densities = [
+            0.0 if near is None else near.log_density(new.submaps[-1], p.poses[-1]) for p in placements
+        ]
+        evidence = [evidence_of(*pair) for pair in zip(self._fits, chances, strict=True)]
+        self._log_weights = np.add(evidence, self._log_densities)  # of the placements, by Bayes' theorem
+        self._best = int(np.argmax(self._log_weights))
         self._log_places = math.log(max(1.0, number_of_places(old.seen_area, near)))
         self._unknown = self._log_places + math.log((1.0 - expected.prior) / expected.prior)
         points = [submap.points.points for submap in new.submaps]
@@ -190,20 +191,20 @@ class _Comparison:
 
     @property
     def least_mapped(self) -> float:
-        """Least share, 0 to 1, of what the drive shows that must be mapped at the best placement."""
-        return least_mapped(self._densities[self._best]) if self._expected.whole else 0.0
+        """Least share of what the drive shows that must be mapped at the best placement."""
+        return least_mapped(self._log_densities[self._best]) if self._expected.fully_mapped else 0.0
 
     @property
     def support(self) -> float:
         """Logarithm of the likelihood ratio of any of the placements to an unknown place."""
-        return float(np.logaddexp.reduce(self._evidence)) - self._log_places
+        return float(np.logaddexp.reduce(self._log_weights)) - self._log_places
 
     def odds(self, submap: int) -> float:
         """Return the logarithm of the odds that a submap is where the best placement has it."""
         pose = self._placements[self._best].poses[submap]
         there = np.array([not are_distinct(pose, other.poses[submap]) for other in self._placements])
-        elsewhere = np.logaddexp.reduce([self._unknown, *self._evidence[~there]])
-        return float(np.logaddexp.reduce(self._evidence[there]) - elsewhere)
+        elsewhere = np.logaddexp.reduce([self._unknown, *self._log_weights[~there]])
+        return float(np.logaddexp.reduce(self._log_weights[there]) - elsewhere)
 
     def fitting(self) -> list[int]:
         """Return the submaps whose place was seen, that fit at the best placement, and whose position is determined."""
@@ -228,10 +229,10 @@ class _Comparison:
         count = len(self._new.submaps)
         if location.accepted:
             return f"{len(location.members)} of its {count} submaps fit in one place only; {numbers}"
-        rivals = [row for row in np.argsort(-self._evidence)[1:].tolist() if self._evidence[row] > self._unknown]
+        rivals = [row for row in np.argsort(-self._log_weights)[1:].tolist() if self._log_weights[row] > self._unknown]
         if rivals and location.evidence < location.required:
             strongest = [self._best, *rivals[:MAX_NAMED_RIVALS]]
-            places = "; ".join(f"{self._motion(row)} (evidence {self._evidence[row]:.1f})" for row in strongest)
+            places = "; ".join(f"{self._motion(row)} (evidence {self._log_weights[row]:.1f})" for row in strongest)
             unnamed = 1 + len(rivals) - len(strongest)
             more = f" and {unnamed} more" if unnamed else ""
             return f"it fits in several places, {places}{more}: {numbers}"

@@ -119,7 +119,7 @@ def test_drive_that_leaves_the_map_is_not_located(
     state, _ = second
     drive = DriveScans().take(state.mapper, state.local_field, 0)
     monkeypatch.setattr(location, "MEAN_UNMAPPED", 0.001)
-    assert locate(drive, first[0], replace(LOST, whole=False)).accepted
+    assert locate(drive, first[0], replace(LOST, fully_mapped=False)).accepted
     refused = locate(drive, first[0], LOST)
     assert not refused.accepted
     assert refused.evidence > refused.required

@@ -60,8 +60,8 @@ def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int, expe
 @pytest.mark.parametrize("expected", [RECOGNISED, DOUBTED])
 def test_the_place_of_a_loop_elsewhere_is_mostly_mapped(expected: Expectation) -> None:
     """As that of a lost robot, see test_drive_scans: the right place may be an equal one that is not mapped yet."""
-    assert expected.whole
-    assert LOST.whole
+    assert expected.fully_mapped
+    assert LOST.fully_mapped
 
 
 def test_less_must_be_mapped_near_the_estimate() -> None:
