@@ -18,6 +18,7 @@ from ..matching.distance_field import DistanceField
 from ..matching.offset_tiles import FIELD_CELL
 from ..matching.scan_features import ScanFeatures
 from .field_successor import FieldSuccessor, FieldSuccessorState
+from .keyframe_ways import MAX_PATH, KeyframeWays
 from .match_target import points_of
 
 # Metres from the middle of the field at which its successor is begun. Origin: chosen, a small part of its half width;
@@ -26,16 +27,11 @@ MAX_CENTRE_DISTANCE = 8.0
 # Metres from the middle of the field at which it is built anew at once, as the robot is where no successor was built in
 # time. Origin: chosen, a multiple of what the robot drives while a successor is built; not measured.
 FAR_FROM_CENTRE = 2.0 * MAX_CENTRE_DISTANCE
-# Metres between keyframes along the drive, or along links between keyframes that saw the same place, up to which their
-# relative pose is well known. Origin: chosen, odometry and walls drift by less than a cell in it; not measured.
-MAX_PATH = 20.0
 # Metres from a keyframe within which a scan shows mostly the same surfaces. Origin: chosen; not measured.
 REFERENCE_DISTANCE = 4.0
 # Metres by which the pose of a keyframe may have changed since its points were inserted. Origin: chosen, two cells; not
 # measured.
 MAX_DISPLACEMENT = 2.0 * FIELD_CELL
-# Metres; smaller differences between two paths are rounding errors. Origin: numerical.
-ROUNDING = 1e-9
 
 
 @immutable
@@ -146,18 +142,16 @@ class LocalField:
             self._may_have_far = True
         self._points.append(points_of(scan).astype(np.float32))
 
-    def ways(self, travelled: Sequence[float]) -> Floats:
-        """Return the metres (k,) driven up to each keyframe, with what is undetermined of the way; see `add`."""
-        gaps = np.zeros(len(self._points))
-        gaps[list(self._gaps)] = list(self._gaps.values())
-        return np.asarray(travelled, dtype=np.float64) + np.cumsum(gaps)
+    def ways(self, travelled: Sequence[float]) -> KeyframeWays:
+        """Return the ways between the keyframes, of which `travelled` has the metres driven up to each."""
+        return KeyframeWays.along(travelled[: len(self._points)], self._gaps, self._links)
 
     def recent(self, poses: Floats, travelled: Sequence[float]) -> DistanceField:
         """Return a distance field of the keyframes within REFERENCE_DISTANCE of the last one along the drive.
 
         It is valid up to the next call. For the arguments see `update`.
         """
-        keyframes = np.arange(self._first_since(REFERENCE_DISTANCE, travelled), len(self._points))
+        keyframes = np.arange(self.ways(travelled).first_since(REFERENCE_DISTANCE), len(self._points))
         if self._recent is None or not self._recent.has(keyframes, poses[keyframes]):
             centre = poses[keyframes[-1]]
             field = DistanceField.empty(centre) if self._recent is None else self._recent.field.cleared(centre)
@@ -171,12 +165,7 @@ class LocalField:
         Takes effect with the next update. The places that the robot has come back to can be linked again, or recognised
         by a loop closure.
         """
-        self.unlink(range(self._first_since(MAX_PATH, travelled), len(self._points)))
-
-    def _first_since(self, distance: float, travelled: Sequence[float]) -> int:
-        """Return the first keyframe within a distance (metres) of the last one along the drive."""
-        ways = self.ways(travelled)
-        return int(np.searchsorted(ways, ways[-1] - distance))
+        self.unlink(range(self.ways(travelled).first_since(MAX_PATH), len(self._points)))
 
     def is_undetermined(self, since: int, keyframe: int) -> bool:
         """Return True if scans do not determine the whole motion from one keyframe to a later one."""
@@ -225,8 +214,7 @@ class LocalField:
 
     def missing_around(self, keyframe: int, travelled: Sequence[float]) -> Integers:
         """Return the keyframes within REFERENCE_DISTANCE of one, along the drive, whose points are not in the field."""
-        ways = self.ways(travelled)
-        around = np.flatnonzero(np.abs(ways - ways[keyframe]) < REFERENCE_DISTANCE)
+        around = self.ways(travelled).around(keyframe, REFERENCE_DISTANCE)
         return around[~is_among(around, self._inserted)]
 
     def update(self, keyframe: int, poses: Floats, travelled: Sequence[float]) -> None:
@@ -243,7 +231,7 @@ class LocalField:
             self.field, self._inserted = self.field.cleared(poses[keyframe]), self._inserted[:0]
             self._may_lack_near, self._may_have_far, self._successor = True, False, None
         elif from_centre > MAX_CENTRE_DISTANCE and self._successor is None:
-            self._successor = FieldSuccessor.around(poses[keyframe], self._near(keyframe, travelled))
+            self._successor = FieldSuccessor.around(poses[keyframe], self.ways(travelled).near([keyframe]))
         new = self._new_keyframes(keyframe, travelled)
         self.field.insert_scans(poses[new], self.points_of(new))
         before = self._inserted_poses[: len(self._inserted)]
@@ -257,7 +245,7 @@ class LocalField:
         """Return the keyframes to be inserted: those added since the last update, and those near by new links."""
         if not self._may_lack_near:
             return np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
-        near, self._may_lack_near = self._near(keyframe, travelled), False
+        near, self._may_lack_near = self.ways(travelled).near([keyframe]), False
         return near[~is_among(near, self._inserted)]
 
     def _build_successor(self, successor: FieldSuccessor, poses: Floats) -> None:
@@ -266,14 +254,6 @@ class LocalField:
         if successor.complete:
             self.field, self._inserted, self._inserted_poses = successor.field, successor.keyframes, successor.poses
             self._successor = None
-
-    def _near(self, keyframe: int, travelled: Sequence[float]) -> Integers:
-        """Return the keyframes within MAX_PATH of one, along the drive and the links, in ascending order."""
-        distance = np.full(len(self._points), np.inf)  # to the keyframe
-        distance[keyframe] = 0.0
-        driven, links = self.ways(travelled[: len(self._points)]), np.array(self._links, dtype=np.int64)
-        _shorten(distance, driven, links.reshape(-1, 2))
-        return np.flatnonzero(distance < MAX_PATH)
 
 
 @compiled
@@ -284,27 +264,3 @@ def _largest_shift(poses, keyframes, former):  # type: ignore[no-untyped-def]
         for axis in range(2):
             largest = max(largest, abs(poses[keyframes[k], axis] - former[k, axis]))
     return largest
-
-
-@compiled
-def _shorten(distance, driven, links):  # type: ignore[no-untyped-def]
-    """Replace distances (k,) to keyframes, infinite if not known, by those along the drive and along links.
-
-    driven  (k,) metres driven up to each keyframe
-    links   (l, 2) pairs of keyframes at the same place
-    """
-    shorter = True
-    while shorter:
-        before = distance.copy()
-        forward, backward = np.inf, np.inf
-        for k in range(len(distance)):
-            forward = min(forward, before[k] - driven[k])
-            distance[k] = min(distance[k], forward + driven[k])
-        for k in range(len(distance) - 1, -1, -1):
-            backward = min(backward, before[k] + driven[k])
-            distance[k] = min(distance[k], backward - driven[k])
-        for one, other in links:
-            distance[one] = distance[other] = min(distance[one], distance[other])
-        shorter = False
-        for k in range(len(distance)):
-            shorter = shorter or distance[k] < before[k] - ROUNDING

@@ -59,7 +59,7 @@ class Look:
     ) -> None:
         self._mapper, self._field, self._submaps, self._among = mapper, local_field, submaps, among
         self._travelled = np.asarray(mapper.travelled)
-        self._ways = local_field.ways(mapper.travelled)
+        self._ways = local_field.ways(mapper.travelled).driven
         self.last = mapper.keyframe_count - 1 if keyframe is None else keyframe
         self.travelled = float(self._travelled[self.last])
         self.uncertainty = RelativeUncertainty(mapper, self.last, doubted=doubted)

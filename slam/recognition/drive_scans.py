@@ -51,7 +51,7 @@ class DriveScans:
     def take(self, mapper: Mapper, local_field: LocalField, first: int) -> ScannedDrive:
         """Return the last submaps of the drive since a keyframe, to be searched for now."""
         self._searched = mapper.travelled[-1]
-        ways = local_field.ways(mapper.travelled)[first:]
+        ways = local_field.ways(mapper.travelled).driven[first:]
         number = np.floor((ways - ways[0]) / SUBMAP_LENGTH).astype(np.int64)
         starts = first + np.flatnonzero(np.diff(number, prepend=-1))
         ends = [*starts[1:].tolist(), mapper.keyframe_count]

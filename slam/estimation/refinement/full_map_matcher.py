@@ -1,4 +1,9 @@
-"""Match scans to the whole map: to its walls, and to the points of all keyframes nearby."""
+"""Match scans to the whole map: to its walls, and to the points of all keyframes nearby.
+
+The points are those of keyframes whose relative pose is well known, as while driving: of passes through one place,
+those that are linked. If the robot came back and no loop was closed, the surfaces of the earlier pass are elsewhere by
+the drift. Together with those of the scan's own pass they would pull it from its path, and the path would tear.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +22,7 @@ from drivers.immutable import immutable
 from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
+from ...localisation.keyframe_ways import KeyframeWays
 from ...localisation.match_target import MatchTarget
 from ...localisation.slip_statistics import SlipStatistics
 from ...localisation.small_objects import SmallObjects
@@ -50,8 +56,10 @@ MAX_FIELDS = 16
 # Origin: chosen; not measured.
 TRACKED_SIGMAS = np.array([0.02, 0.02, 0.01])
 
-_Tile: TypeAlias = tuple[int, int, int, int]
-"""Column and row of a tile, group of parts of the map, and 0 or 1 for the keyframes with even or odd numbers."""
+_Square: TypeAlias = tuple[int, int, int]
+"""Column and row of a tile, and group of parts of the map."""
+_Tile: TypeAlias = tuple[_Square, int, int]
+"""Square, first keyframe of the passes of which the field has points, and 0 or 1 for even or odd keyframes."""
 
 
 @immutable
@@ -71,8 +79,9 @@ class FullMapMatch:
 
 
 class FullMapMatcher:
-    """Landmarks, and the points of all keyframes at `poses` (k, 3), to which scans are matched.
+    """Landmarks, and the points of keyframes at `poses` (k, 3), to which scans are matched.
 
+    ways            between the keyframes
     roughness       variance of the walls' roughness, square metres
     range_bias      metres, without which the landmarks were estimated
     model           of odometry's errors
@@ -84,6 +93,7 @@ class FullMapMatcher:
         history: ScanHistory,
         landmarks: Landmarks,
         poses: Floats,
+        ways: KeyframeWays,
         roughness: float,
         range_bias: float,
         model: OdometryModel,
@@ -100,6 +110,8 @@ class FullMapMatcher:
         self._range_bias = range_bias
         self._small_objects = SmallObjects()
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
+        self._ways = ways
+        self._passes = lru_cache(maxsize=None)(self._passes_through)
         self._tiles = self._tiles_of(history.own_keyframes)
         self._next_rows = _next_rows(self._tiles)
         self._fields: dict[_Tile, tuple[int, DistanceField]] = {}  # with the next scan that needs it
@@ -171,9 +183,17 @@ class FullMapMatcher:
         With its own points in the field a scan would stay where it is.
         """
         # The first keyframe, at the map's origin, is in the middle of a tile: rounding errors do not change its tile.
-        columns, rows = np.rint(self._poses[keyframes, :2] / TILE).astype(int).T.tolist()
-        groups, parities = self._groups[keyframes].tolist(), (1 - keyframes % 2).tolist()
-        return list(zip(columns, rows, groups, parities, strict=True))
+        columns, rows = np.rint(self._poses[:, :2] / TILE).astype(int).T.tolist()
+        squares = list(zip(columns, rows, self._groups.tolist(), strict=True))
+        tiles = [(squares[k], self._passes(squares[k])[k], 1 - k % 2) for k in range(len(squares))]
+        return [tiles[k] for k in keyframes.tolist()]
+
+    def _passes_through(self, square: _Square) -> dict[int, int]:
+        """Return the keyframes whose points are in the fields of a square, each with the first one of linked passes."""
+        column, row, group = square
+        distances = np.hypot(*(self._poses[:, :2] - TILE * np.array([column, row])).T)
+        near = np.flatnonzero((distances < FIELD_RADIUS) & (self._groups == group))
+        return {k: int(linked[0]) for linked in self._ways.divide(near) for k in linked.tolist()}
 
     def _field(self, row: int) -> DistanceField:
         """Return the distance field for a scan."""
@@ -189,18 +209,15 @@ class FullMapMatcher:
 
     def _built_field(self, tile: _Tile) -> DistanceField:
         """Return the distance field of a tile."""
-        column, row, group, parity = tile
-        centre = TILE * np.array([column, row])
+        square, first, parity = tile
+        centre = TILE * np.array(square[:2])
         field = DistanceField.empty(centre, FIELD_HALF_WIDTH)
-        self._insert_keyframes(field, centre, parity, group)
-        return field.completed()
-
-    def _insert_keyframes(self, field: DistanceField, centre: Floats, parity: int, group: int) -> None:
-        """Insert the keyframes of a group with even (0) or odd (1) indices around the `centre` of a field."""
-        near = np.flatnonzero(np.hypot(*(self._poses[:, :2] - centre).T) < FIELD_RADIUS)
-        near = near[(near % 2 == parity) & (self._groups[near] == group)]
-        near = near[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
+        near = np.array(
+            [k for k, of in self._passes(square).items() if of == first and k % 2 == parity], dtype=np.int64
+        )
+        near = np.sort(near)[:: max(1, -(-len(near) // MAX_FIELD_KEYFRAMES))]
         field.insert_scans(self._poses[near], [self._points_of(keyframe) for keyframe in near.tolist()])
+        return field.completed()
 
     def _points_of(self, keyframe: int) -> NDArray[np.float32]:
         """Return the points (p, 6) of a keyframe with their normals: it is in several fields."""

@@ -24,6 +24,7 @@ from slam.evaluation.metrics import score_reference
 from slam.events import EventRecorder, GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.io.tum import Trajectory
+from slam.localisation.keyframe_ways import MAX_PATH, KeyframeWays
 from slam.localisation.match_target import MatchTarget, ScanMatch
 from slam.localisation.slip_statistics import SlipStatistics
 from slam.mapping.convergence import converge
@@ -60,12 +61,13 @@ def error(stamps: np.ndarray, poses: np.ndarray, messages: Iterable[Message]) ->
 
 @dataclass
 class MappedSession:
-    """History of a session, its converged map, and its odometry model."""
+    """History of a session, its converged map, its odometry model, and the ways between its keyframes."""
 
     mapper: Mapper
     history: ScanHistory
     odometry_model: OdometryModel
     messages: list[Message]
+    ways: KeyframeWays
 
     @property
     def poses(self) -> np.ndarray:
@@ -88,7 +90,8 @@ def session() -> MappedSession:
     history = build_scan_history(
         scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes
     )
-    return MappedSession(slam_state.mapper, history, slam_state.odometry_model, messages)
+    ways = slam_state.local_field.ways(slam_state.mapper.travelled)
+    return MappedSession(slam_state.mapper, history, slam_state.odometry_model, messages, ways)
 
 
 def confirmed_walls(mapper: Mapper) -> np.ndarray:
@@ -121,7 +124,7 @@ def test_the_first_scan_is_held_by_odometry_to_the_second(
     """It was not matched while driving. Where a few points fit elsewhere too, it must not be searched there."""
     history, nowhere = session.history, np.zeros(len(session.history), dtype=bool)
     matcher = FullMapMatcher(
-        history, session.mapper.landmarks, session.poses, 0.0, 0.0, session.odometry_model, nowhere
+        history, session.mapper.landmarks, session.poses, session.ways, 0.0, 0.0, session.odometry_model, nowhere
     )
     seen = predictions_of(monkeypatch)
     poses = history.scan_poses(session.poses)
@@ -143,7 +146,7 @@ def test_distance_fields_are_kept_for_later_laps(session: MappedSession, monkeyp
     history, landmarks, poses = session.history, session.mapper.landmarks, np.zeros_like(session.poses)
     keyframes, nowhere = np.arange(len(poses)), np.zeros(len(history), dtype=bool)
     poses[:, 0] = 100.0 * (keyframes // 2 % 2)  # in each of two rooms, one with an even and one with an odd number
-    matcher = FullMapMatcher(history, landmarks, poses, 0.0, 0.0, session.odometry_model, nowhere)
+    matcher = FullMapMatcher(history, landmarks, poses, session.ways, 0.0, 0.0, session.odometry_model, nowhere)
     placed = history.scan_poses(poses)
     for row in range(len(history)):
         matcher.match(row, placed, matcher.local_map(row, placed[row]))
@@ -178,7 +181,9 @@ def test_an_even_motion_costs_as_much_as_a_slip(
     wrong, poses = np.zeros(len(history), dtype=bool), history.scan_poses(session.poses)
     wrong[row], middle = known_wrong, poses[row].copy()
     poses[row] = se2.compose(middle, np.array([0.5, 0.0, 0.0]))  # away from the motion between its neighbours
-    matcher = FullMapMatcher(history, mapper.landmarks, session.poses, 0.0, 0.0, session.odometry_model, wrong)
+    matcher = FullMapMatcher(
+        history, mapper.landmarks, session.poses, session.ways, 0.0, 0.0, session.odometry_model, wrong
+    )
     seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
     present, even = seen
@@ -188,7 +193,7 @@ def test_an_even_motion_costs_as_much_as_a_slip(
 
 
 def test_correct_map_stays_correct(session: MappedSession) -> None:
-    refined = refine(session.mapper, session.history, session.odometry_model)
+    refined = refine(session.mapper, session.history, session.odometry_model, session.ways)
     before = error(session.history.stamps, session.history.scan_poses(session.poses), session.messages)
     assert error(session.history.stamps, refined.poses, session.messages) < before + 2e-4
     assert abs(len(confirmed_walls(refined.mapper)) - len(confirmed_walls(session.mapper))) <= 2
@@ -229,7 +234,7 @@ def duplicate_wall(session: MappedSession) -> Mapper:
 
 def test_duplicate_walls_are_merged(session: MappedSession) -> None:
     corrupted = duplicate_wall(session)
-    refined = refine(corrupted, session.history, session.odometry_model)
+    refined = refine(corrupted, session.history, session.odometry_model, session.ways)
     assert len(confirmed_walls(refined.mapper)) < len(confirmed_walls(corrupted))
     assert refined.summary["walls_merged"] >= 1
     before = error(session.history.stamps, session.history.scan_poses(session.poses), session.messages)
@@ -250,8 +255,8 @@ def test_wrong_initial_pose_of_a_scan_is_corrected(session: MappedSession) -> No
     row = int(history.keyframes[len(history.keyframes) // 2]) + 1
     relative = history.relative.copy()
     relative[row] = se2.compose(relative[row], [0.08, -0.05, 0.03])
-    refined = refine(session.mapper, replace(history, relative=relative), session.odometry_model)
-    expected = refine(session.mapper, history, session.odometry_model)
+    refined = refine(session.mapper, replace(history, relative=relative), session.odometry_model, session.ways)
+    expected = refine(session.mapper, history, session.odometry_model, session.ways)
     assert np.abs(refined.poses[row] - expected.poses[row]).max() < 0.003
 
 
@@ -296,10 +301,37 @@ def drive_through_clutter() -> tuple[Mapper, ScanHistory, np.ndarray]:
     return mapper, history, true
 
 
+def passes_of(count: int, links: Sequence[tuple[int, int]] = ()) -> KeyframeWays:
+    """Return the ways of two passes of half of the keyframes each, far apart along the drive."""
+    return KeyframeWays.along([STEP * k for k in range(count)], {count // 2: MAX_PATH}, links)
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_only_linked_passes_count_as_one_map(linked: bool) -> None:
+    """No loop was closed, so that the earlier pass is 0.25 m aside of the later one, which has few keyframes."""
+    mapper, history, true = drive_through_clutter()
+    count, drift = len(true) // 2, np.array([0.0, 0.25, 0.0])
+    keyframes = np.array([*range(count), count, count + 7, count + 14])
+    poses = true[keyframes] + np.where(keyframes < count, 0.0, 1.0)[:, None] * drift
+    own = np.maximum(np.searchsorted(keyframes, np.arange(2 * count), side="right") - 1, 0)
+    relative = se2.between(true[keyframes[own]], true)
+    history = replace(history, keyframes=keyframes, own_keyframes=own, relative=relative)
+    ways = passes_of(len(keyframes), [(1, count)] if linked else [])
+    ways = replace(ways, driven=STEP * keyframes + MAX_PATH * (keyframes >= count))
+    nowhere, model = np.zeros(2 * count, dtype=bool), OdometryModel(OdometryConfig())
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, ways, 0.0, 0.0, model, nowhere)
+    placed = history.scan_poses(poses)
+    moved = np.zeros(2 * count)
+    for row in range(count, 2 * count):
+        match = matcher.match(row, placed, matcher.local_map(row, placed[row]))
+        moved[row] = np.hypot(*(match.points.pose - placed[row])[:2])
+    assert (moved.max() > 0.1) == linked
+
+
 def test_matches_and_loops_by_agreement_are_kept() -> None:
     mapper, history, true = drive_through_clutter()
     assert np.hypot(*(mapper.keyframe_poses - true)[:, :2].T).max() < 0.02
-    refined = refine(mapper, history, OdometryModel(OdometryConfig()))
+    refined = refine(mapper, history, OdometryModel(OdometryConfig()), passes_of(mapper.keyframe_count))
     kept, expected = refined.mapper.graph.matches(), mapper.graph.matches()
     assert [(f.kind, f.first, f.second) for f in kept] == [(f.kind, f.first, f.second) for f in expected]
     for factor, before in zip(kept, expected, strict=True):

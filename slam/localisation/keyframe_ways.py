@@ -1,0 +1,103 @@
+"""Ways between keyframes, along the drive and along links: the relative pose of those near on them is well known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from drivers.compiled import compiled
+from drivers.immutable import immutable
+
+from ..geometry.membership import is_among
+from ..geometry.segments import Floats, Integers
+
+# Metres between keyframes along the drive, or along links between keyframes that saw the same place, up to which their
+# relative pose is well known. Origin: chosen, odometry and walls drift by less than a cell in it; not measured.
+MAX_PATH = 20.0
+# Metres; smaller differences between two paths are rounding errors. Origin: numerical.
+ROUNDING = 1e-9
+
+
+@immutable
+class KeyframeWays:
+    """Ways between k keyframes.
+
+    driven  (k,) metres driven up to each, with what is undetermined of the way
+    links   (l, 2) pairs that saw the same place
+    """
+
+    driven: Floats
+    links: Integers
+
+    @classmethod
+    def along(
+        cls, travelled: Sequence[float], gaps: Mapping[int, float], links: Sequence[tuple[int, int]]
+    ) -> KeyframeWays:
+        """Return the ways of keyframes.
+
+        travelled  metres driven up to each keyframe
+        gaps       metres by which the way to a keyframe counts as longer, by keyframe
+        links      pairs of keyframes that saw the same place
+        """
+        longer = np.zeros(len(travelled))
+        longer[list(gaps)] = list(gaps.values())
+        driven = np.asarray(travelled, dtype=np.float64) + np.cumsum(longer)
+        return cls(driven, np.array(links, dtype=np.int64).reshape(-1, 2))
+
+    def first_since(self, distance: float) -> int:
+        """Return the first keyframe within a distance (metres) of the last one along the drive."""
+        return int(np.searchsorted(self.driven, self.driven[-1] - distance))
+
+    def around(self, keyframe: int, distance: float) -> Integers:
+        """Return the keyframes within a distance (metres) of one along the drive."""
+        return np.flatnonzero(np.abs(self.driven - self.driven[keyframe]) < distance)
+
+    def near(self, keyframes: Integers | Sequence[int]) -> Integers:
+        """Return the keyframes within MAX_PATH of some, along the drive and the links, in ascending order."""
+        distance = np.full(len(self.driven), np.inf)
+        distance[keyframes] = 0.0
+        _shorten(distance, self.driven, self.links)
+        return np.flatnonzero(distance < MAX_PATH)
+
+    def divide(self, keyframes: Integers | Sequence[int]) -> list[Integers]:
+        """Divide keyframes, in ascending order, into groups between which no way is shorter than MAX_PATH.
+
+        Each group is in ascending order, and so are the first keyframes of the groups.
+        """
+        keyframes = np.asarray(keyframes, dtype=np.int64)
+        if not len(keyframes):
+            return []
+        begins = np.flatnonzero(np.diff(self.driven[keyframes]) >= MAX_PATH) + 1
+        groups: list[Integers] = []
+        for stretch in np.split(keyframes, begins):
+            near = self.near(stretch) if len(begins) else stretch
+            within = [bool(is_among(group, near).any()) for group in groups]
+            joined = [group for group, is_within in zip(groups, within, strict=True) if is_within]
+            groups = [group for group, is_within in zip(groups, within, strict=True) if not is_within]
+            groups.append(np.sort(np.concatenate([*joined, stretch])))
+        return sorted(groups, key=lambda group: int(group[0]))
+
+
+@compiled
+def _shorten(distance, driven, links):  # type: ignore[no-untyped-def]
+    """Replace distances (k,) to keyframes, infinite if not known, by those along the drive and along links.
+
+    driven  (k,) metres driven up to each keyframe
+    links   (l, 2) pairs of keyframes at the same place
+    """
+    shorter = True
+    while shorter:
+        before = distance.copy()
+        forward, backward = np.inf, np.inf
+        for k in range(len(distance)):
+            forward = min(forward, before[k] - driven[k])
+            distance[k] = min(distance[k], forward + driven[k])
+        for k in range(len(distance) - 1, -1, -1):
+            backward = min(backward, before[k] + driven[k])
+            distance[k] = min(distance[k], backward - driven[k])
+        for one, other in links:
+            distance[one] = distance[other] = min(distance[one], distance[other])
+        shorter = False
+        for k in range(len(distance)):
+            shorter = shorter or distance[k] < before[k] - ROUNDING
