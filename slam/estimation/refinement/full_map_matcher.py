@@ -35,6 +35,7 @@ from ...matching.point_matcher import PointMatch, Prediction
 from ...matching.scan_features import ScanFeatures
 from ...odometry.error_model import OdometryModel
 from ...odometry.measurement_clock import MeasurementClock
+from ...odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
 from ...preprocessing.scan_sequence import ScanSequence
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
@@ -105,8 +106,7 @@ class FullMapMatcher:
             *self.motions.known(odometry_wrong), self.motions.unmeasured
         )
         self._slip_cost = SlipStatistics(len(history), int(odometry_wrong.sum())).cost
-        self._weak_information = np.diag(WRONG_ODOMETRY_SIGMAS**-2)
-        self._informations = history.informations + self._weak_information
+        self._informations = history.informations + np.diag(WRONG_ODOMETRY_SIGMAS**-2)
         self._range_bias = range_bias
         self._small_objects = SmallObjects()
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
@@ -142,7 +142,7 @@ class FullMapMatcher:
         target = MatchTarget(local_map, self._field(row), self._roughness)
         present = Prediction(poses[row], self._prior(row, poses))
         cost = 0.0 if self._odometry_wrong[row] else self._slip_cost
-        even = Prediction(self._interpolate(row, poses), self._weak_information, cost)
+        even = Prediction(self._interpolate(row, poses), self._even_information(row), cost)
         predictions = [present, even] if present.excludes(even.pose) else [present]
         points = self._small_objects.weighted_points(scan)
         earlier_evidence = None if self._odometry_wrong[row] else 0.0
@@ -176,6 +176,22 @@ class FullMapMatcher:
         before, after = self._intervals[row], self._intervals[row + 1]
         fraction = before / (before + after) if before + after > 0.0 else 0.5
         return se2.compose(poses[row - 1], fraction * se2.between(poses[row - 1], poses[row + 1]))
+
+    def _even_information(self, row: int) -> Floats:
+        """Return the information (3, 3) of a scan's pose, if the base moved evenly between its neighbours.
+
+        Besides the errors of their poses, it is uncertain by the change of velocity from one interval to the other.
+        """
+        covariance = np.diag(TRACKED_SIGMAS**2)
+        if 0 < row < len(self._intervals) - 1:
+            before, after = self._intervals[row], self._intervals[row + 1]
+            both = before + after
+            share = before / both if both > 0.0 else 0.5
+            change = np.minimum(0.5 * both * ACCELERATIONS, MAX_VELOCITIES)
+            covariance += np.diag((share * after * change) ** 2)
+            covariance += (1.0 - share) ** 2 * inverse(self._informations[row - 1])
+            covariance += share**2 * inverse(self._informations[row + 1])
+        return np.asarray(inverse(covariance))
 
     def _tiles_of(self, keyframes: Integers) -> list[_Tile]:
         """Return the tile of the distance field for scans at some keyframes (n,): without the keyframe itself.

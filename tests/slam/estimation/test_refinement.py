@@ -192,6 +192,26 @@ def test_an_even_motion_costs_as_much_as_a_slip(
     np.testing.assert_allclose(even.pose, middle, atol=0.05)
 
 
+@pytest.mark.parametrize(("tracked", "least", "most"), [(True, 0.01, 0.1), (False, 0.2, 0.4)])
+def test_a_scan_between_tracked_neighbours_is_searched_near_the_even_motion(
+    session: MappedSession, monkeypatch: pytest.MonkeyPatch, tracked: bool, least: float, most: float
+) -> None:
+    """A robot cannot jump by decimetres and back within two tenths of a second, wherever a single scan fits."""
+    history, row = session.history, 60
+    informations = history.informations.copy()
+    informations[row - 1 : row + 2] *= tracked
+    history = replace(history, informations=informations)
+    wrong, poses = np.zeros(len(history), dtype=bool), history.scan_poses(session.poses)
+    poses[row] = se2.compose(poses[row], np.array([0.0, 0.0, 2.0]))
+    landmarks = session.mapper.landmarks
+    matcher = FullMapMatcher(history, landmarks, session.poses, session.ways, 0.0, 0.0, session.odometry_model, wrong)
+    seen = predictions_of(monkeypatch)
+    matcher.match(row, poses, matcher.local_map(row, poses[row]))
+    sigmas = np.sqrt(np.diag(np.linalg.inv(seen[1].information)))
+    assert np.all(sigmas[:2] > least)
+    assert np.all(sigmas < most)
+
+
 def test_correct_map_stays_correct(session: MappedSession) -> None:
     refined = refine(session.mapper, session.history, session.odometry_model, session.ways)
     before = error(session.history.stamps, session.history.scan_poses(session.poses), session.messages)
