@@ -3,12 +3,13 @@
 The side of a cabinet and a partition behind it may be parallel and a few centimetres apart. When the second one is seen
 first, its place is too uncertain to tell them apart. So both become one landmark, which seems certain by its many
 observations. When the estimate is settled, each observed stretch of such a wall gets a landmark of its own on a copy of
-the graph. For the lines B of two stretches and their joint covariance, that of the difference C,
+the graph. The offset o and the heading h between the lines of two stretches have the covariance C. If they are one
+line, these have the density p1 = N([o, h]; 0, C). If they are two surfaces that were taken for one, the offset is
+anywhere within the limits of association, and the surfaces are parallel or not, with equal probability:
 
-    (B1 - B2)' C^-1 (B1 - B2)
+    p2 = (N(h; 0, C_hh) + 1 / (2 MAX_HEADING_DIFFERENCE)) / 2 / (2 MAX_OFFSET)
 
-is chi-square distributed with two degrees of freedom if they are one wall. It is the increase of the graph's cost by
-the constraint that they are. Stretches are joined again, the most similar first, until no two are compatible.
+Stretches are joined again, those with the largest p1 / p2 first, until it is below one for all.
 """
 
 from __future__ import annotations
@@ -28,16 +29,15 @@ from ..graph.wall_segments import WallSegment, wall_segments
 from .data_association import ASSOCIATION_GATE
 from .keyframes import LandmarkIds
 from .landmarks import Landmarks
+from .local_map import MAX_HEADING_DIFFERENCE, MAX_OFFSET
 from .unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .wall_cells import WALL_CELL
 from .wall_roughness import add_roughness
 
-# Squared Mahalanobis distance between two stretches that may be one wall. Origin: definition, the same test as for
-# a new observation.
-SPLIT_GATE = ASSOCIATION_GATE
-# The same with the poses held fixed, above which a wall is tried. It is a lower bound of the former, as separate
-# stretches would move the poses, too. Origin: chosen, a quarter, as the poses rest on other walls; not measured.
-CANDIDATE_GATE = 0.25 * SPLIT_GATE
+# Squared Mahalanobis distance between two stretches, with the poses held fixed, above which a wall is tried. It is a
+# lower bound of that with free poses, as separate stretches would move the poses, too. Origin: chosen, a quarter of the
+# gate of an observation, as the poses rest on other walls; not measured.
+CANDIDATE_GATE = 0.25 * ASSOCIATION_GATE
 
 
 @immutable
@@ -211,7 +211,8 @@ def _may_differ(stretches: Sequence[Stretch], roughness: float) -> bool:
     for i, stretch in enumerate(stretches):
         blocks[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = stretch.covariance
     lines, joint = _lines_in_first(stretches, np.array([s.frame for s in stretches]), blocks, roughness)
-    return any(_difference(lines, joint, i, j)[0] > CANDIDATE_GATE for j in range(len(stretches)) for i in range(j))
+    differences = (_difference(lines, joint, i, j) for j in range(len(stretches)) for i in range(j))
+    return any(float(value @ np.linalg.solve(variance, value)) > CANDIDATE_GATE for value, variance, _ in differences)
 
 
 def _fit(relative: Floats, segments: Sequence[WallSegment], along: float) -> tuple[se2.Pose, Floats]:
@@ -244,11 +245,12 @@ def _group_compatible(
     groups = [[i] for i in range(len(stretches))]
     while len(groups) > 1:
         pairs = [(a, b) for a in range(len(groups)) for b in range(a + 1, len(groups))]
-        tests = [_difference(lines, joint, groups[a][0], groups[b][0]) for a, b in pairs]
-        best = int(np.argmin([distance for distance, _ in tests]))
-        distance, jacobian = tests[best]
-        if distance > SPLIT_GATE:
+        differences = [_difference(lines, joint, groups[a][0], groups[b][0]) for a, b in pairs]
+        evidence = [_evidence_of_one_line(*difference[:2]) for difference in differences]
+        best = int(np.argmax(evidence))
+        if evidence[best] < 0.0:
             break
+        jacobian = differences[best][2]
         gain = joint @ jacobian.T @ np.linalg.inv(jacobian @ joint @ jacobian.T)
         lines, joint = lines - gain @ (jacobian @ lines), joint - gain @ jacobian @ joint
         a, b = pairs[best]
@@ -280,9 +282,23 @@ def _lines_in_first(
     return lines, joint
 
 
-def _difference(lines: Floats, joint: Floats, one: int, other: int) -> tuple[float, Floats]:
-    """Return the squared Mahalanobis distance between two lines, and the Jacobian (2, 2 n) of their difference."""
+def _difference(lines: Floats, joint: Floats, one: int, other: int) -> tuple[Floats, Floats, Floats]:
+    """Return offset and heading (2,) between two lines, their covariance (2, 2), and their Jacobian (2, 2 n)."""
     jacobian = np.zeros((2, len(lines)))
     jacobian[:, 2 * one : 2 * one + 2], jacobian[:, 2 * other : 2 * other + 2] = -np.eye(2), np.eye(2)
-    difference = jacobian @ lines
-    return float(difference @ np.linalg.solve(jacobian @ joint @ jacobian.T, difference)), jacobian
+    return jacobian @ lines, jacobian @ joint @ jacobian.T, jacobian
+
+
+def _evidence_of_one_line(difference: Floats, covariance: Floats) -> float:
+    """Return ln(p1 / p2) of the module, from offset and heading (2,) between two lines and their covariance (2, 2)."""
+    heading, variance = float(difference[1]), float(covariance[1, 1])
+    offset = float(difference[0]) - float(covariance[0, 1]) / variance * heading
+    of_heading = _log_normal(heading, variance)
+    of_offset = _log_normal(offset, float(covariance[0, 0]) - float(covariance[0, 1]) ** 2 / variance)
+    of_surfaces = math.log(0.25 / MAX_OFFSET) + float(np.logaddexp(of_heading, -math.log(2.0 * MAX_HEADING_DIFFERENCE)))
+    return of_heading + of_offset - of_surfaces
+
+
+def _log_normal(value: float, variance: float) -> float:
+    """Return the logarithm of the density of a normal variable with the mean zero."""
+    return -0.5 * (value**2 / variance + math.log(2.0 * math.pi * variance))
