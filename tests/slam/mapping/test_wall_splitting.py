@@ -17,7 +17,7 @@ STRETCHES = np.array([[1.0, 2.0, np.pi], [5.0, 2.0, np.pi]])
 """Frames of the two stretches, 2 m long each, with 2 m between them that nobody saw."""
 
 
-def map_with_gap(second: np.ndarray, seed: int) -> Mapper:
+def map_with_gap(second: np.ndarray, seed: int, sigmas: np.ndarray = SIGMAS) -> Mapper:
     """Return a solved map with one landmark for two stretches, and another wall; six keyframes see only one stretch."""
     random = np.random.default_rng(seed)
     walls = np.array([STRETCHES[0], second, [-2.0, 0.0, -np.pi / 2]])
@@ -28,9 +28,9 @@ def map_with_gap(second: np.ndarray, seed: int) -> Mapper:
     for keyframe in range(18):
         truth = np.array([0.3 * keyframe, 0.0, 0.0])
         seen = [0, 2] if keyframe < 6 else [0, 1, 2]
-        noise = np.column_stack([np.zeros(len(seen)), random.normal(0, SIGMAS, (len(seen), 2))])
+        noise = np.column_stack([np.zeros(len(seen)), random.normal(0, sigmas, (len(seen), 2))])
         frames = se2.compose(se2.between(truth, walls[seen]), noise)
-        segments = Segments(frames, np.ones(len(seen)), np.tile(np.diag(SIGMAS**2), (len(seen), 1, 1)))
+        segments = Segments(frames, np.ones(len(seen)), np.tile(np.diag(sigmas**2), (len(seen), 1, 1)))
         ids = np.array([{0: 0, 1: 0, 2: 1}[wall] for wall in seen])
         for wall, frame in zip(ids, walls[seen], strict=True):
             mapper.landmarks.observe_wall(int(wall), frame, 1.0, keyframe)
@@ -67,3 +67,10 @@ def test_stretches_that_are_two_surfaces_become_two_walls(offset: float, turn: f
 def test_one_wall_is_rarely_split_by_noise() -> None:
     splits = sum(split_walls(map_with_gap(STRETCHES[1], seed)) for seed in range(40))
     assert splits <= 1
+
+
+def test_surfaces_of_uncertain_heading_are_told_apart_by_evidence() -> None:
+    """A step of 3 cm is some 3.3 standard deviations then, which are compatible with one line by chance."""
+    sigmas, second = np.array([0.004, 0.012]), se2.compose(STRETCHES[1], [0.0, 0.03, 0.0])
+    assert sum(split_walls(map_with_gap(second, seed, sigmas)) for seed in range(30)) >= 18
+    assert sum(split_walls(map_with_gap(STRETCHES[1], seed, sigmas)) for seed in range(30)) <= 1
