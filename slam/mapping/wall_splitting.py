@@ -34,9 +34,9 @@ from .unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .wall_cells import WALL_CELL
 from .wall_roughness import add_roughness
 
-# Squared Mahalanobis distance between two stretches, with the poses held fixed, above which a wall is tried. It is a
-# lower bound of that with free poses, as separate stretches would move the poses, too. Origin: chosen, a quarter of the
-# gate of an observation, as the poses rest on other walls; not measured.
+# Squared Mahalanobis distance between two stretches, with the poses held fixed, above which a wall is tried. Free poses
+# change it little where other walls determine them. Origin: chosen, a quarter of the gate of an observation, below what
+# the evidence requires if the offset is known to 4 cm; not measured.
 CANDIDATE_GATE = 0.25 * ASSOCIATION_GATE
 
 
@@ -44,10 +44,10 @@ CANDIDATE_GATE = 0.25 * ASSOCIATION_GATE
 class Stretch:
     """An observed stretch of a wall.
 
-    wall      landmark id of the wall
-    low, high metres along the wall's frame
-    frame     (3,) in the map, in the middle of the stretch, on the line that fits its segments
-    segments  observations of it
+    wall        landmark id of the wall
+    low, high   metres along the wall's frame
+    frame       (3,) in the map, in the middle of the stretch, on the line that fits its segments
+    segments    observations of it
     covariance  (2, 2) of offset and heading at the frame, with the poses of the observers held fixed
     """
 

@@ -173,9 +173,13 @@ class FullMapMatcher:
         """Return a scan's pose if the base moved evenly from the previous scan to the next one."""
         if not 0 < row < len(poses) - 1:
             return np.asarray(poses[row], dtype=np.float64)
-        before, after = self._intervals[row], self._intervals[row + 1]
-        fraction = before / (before + after) if before + after > 0.0 else 0.5
-        return se2.compose(poses[row - 1], fraction * se2.between(poses[row - 1], poses[row + 1]))
+        motion = se2.between(poses[row - 1], poses[row + 1])
+        return se2.compose(poses[row - 1], self._fraction(row) * motion)
+
+    def _fraction(self, row: int) -> float:
+        """Return at which fraction of the time from the previous scan to the next one a scan was taken."""
+        before, after = float(self._intervals[row]), float(self._intervals[row + 1])
+        return before / (before + after) if before + after > 0.0 else 0.5
 
     def _even_information(self, row: int) -> Floats:
         """Return the information (3, 3) of a scan's pose, if the base moved evenly between its neighbours.
@@ -184,13 +188,11 @@ class FullMapMatcher:
         """
         covariance = np.diag(TRACKED_SIGMAS**2)
         if 0 < row < len(self._intervals) - 1:
-            before, after = self._intervals[row], self._intervals[row + 1]
-            both = before + after
-            share = before / both if both > 0.0 else 0.5
-            change = np.minimum(0.5 * both * ACCELERATIONS, MAX_VELOCITIES)
-            covariance += np.diag((share * after * change) ** 2)
-            covariance += (1.0 - share) ** 2 * inverse(self._informations[row - 1])
-            covariance += share**2 * inverse(self._informations[row + 1])
+            fraction, after = self._fraction(row), self._intervals[row + 1]
+            change = np.minimum(0.5 * (self._intervals[row] + after) * ACCELERATIONS, MAX_VELOCITIES)
+            covariance += np.diag((fraction * after * change) ** 2)
+            covariance += (1.0 - fraction) ** 2 * inverse(self._informations[row - 1])
+            covariance += fraction**2 * inverse(self._informations[row + 1])
         return np.asarray(inverse(covariance))
 
     def _tiles_of(self, keyframes: Integers) -> list[_Tile]:
