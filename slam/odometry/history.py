@@ -26,8 +26,8 @@ TRAVEL_PER_RADIAN = 0.25
 BLOCK = 1 << 16
 # Triples of readings that show the error of their stamps, at least. Origin: chosen, for a median; not measured.
 MIN_TRIPLES = 16
-# Metres per second of wheel travel above which readings show the error of their stamps. Origin: chosen, an encoder's
-# step of 0.2 mm then looks like 2 ms.
+# Metres per second of wheel travel above which readings show the error of their stamps, and below which they may show
+# jitter. Origin: chosen, an encoder's step of 0.2 mm then looks like 2 ms.
 MIN_SPEED = 0.1
 # Readings from which the error of stamps is estimated, and after how many it is estimated again. Origin: numerical.
 ESTIMATED_FROM, ESTIMATED_EVERY = 512, 64

@@ -22,6 +22,7 @@ import numpy as np
 from drivers.compiled import compiled
 from features.normal_limits import NORMAL_LIMIT
 
+from ..geometry.normal_distribution import NORMAL_SCALE
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from .history import OdometryHistory, wheel_travel
@@ -63,6 +64,24 @@ def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> tuple[Floats, f
     limited = np.clip(between_each(interpolated, smoothed), -limit, limit)
     speed_error = stamp_error * _gain_of_speed(times, ratio, float(stamps[0]))
     return np.asarray(compose_each(interpolated, limited)), speed_error
+
+
+def jitter_of_readings(odometry: OdometryHistory, begin: float, end: float) -> float:
+    """Return the standard deviation of odometry's readings around a sweep, metres of wheel travel.
+
+    begin, end  stamps of the sweep, seconds; readings up to REACH before it count
+    It is zero if there are too few readings. Of three readings, the second is off from the line through the others by
+    e, see `error_of_stamps`; the median ignores changes of speed.
+    """
+    times, readings = odometry.readings_between(begin - REACH, end)
+    if len(times) < MIN_READINGS:
+        return 0.0
+    poses = between_each(readings[:1], readings)
+    poses[:, 2] = unwrapped(poses[:, 2].copy())
+    share = ((times[1:-1] - times[:-2]) / (times[2:] - times[:-2]))[:, None]
+    error = poses[1:-1] - (1.0 - share) * poses[:-2] - share * poses[2:]
+    scaled = error / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+    return NORMAL_SCALE * float(wheel_travel(np.median(np.abs(scaled), axis=0)))
 
 
 def _gain_of_speed(times: Floats, ratio: float, begin: float) -> float:

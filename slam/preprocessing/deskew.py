@@ -23,16 +23,16 @@ from ..errors import MapError
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import OdometryHistory, wheel_travel
+from ..odometry.history import MIN_SPEED, OdometryHistory, wheel_travel
 from ..odometry.measurement_clock import USUAL_PERIOD
-from ..odometry.smoothing import smoothed_poses
+from ..odometry.smoothing import jitter_of_readings, smoothed_poses
 
 # Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
 # odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
 KNOT_INTERVAL = 0.0125
-# Metres of wheel travel over a sweep below which the robot counts as standing: 0.2 mm of jitter at either wheel looks
-# like a milliradian of turning, would bend the scan, and the first keyframe, which defines the map, is nearly always
-# taken standing. Origin: measured; the data are not recorded.
+# Metres of wheel travel over a sweep below which the robot counts as standing, whatever the jitter of the readings is:
+# 0.2 mm at either wheel looks like a milliradian of turning, would bend the scan, and the first keyframe, which defines
+# the map, is nearly always taken standing. Origin: measured; the data are not recorded.
 MIN_SWEEP_TRAVEL = 2e-3
 # Origin: definition.
 PARABOLA_PARAMETERS = 3
@@ -139,7 +139,7 @@ def deskew(
     reference = poses[half]
     moves = between_each(reference[None], poses)
     travels = wheel_travel(moves)
-    if travels[0] + travels[-1] < MIN_SWEEP_TRAVEL:
+    if _is_standing(odometry, scan.stamp, duration, se2.between(poses[0], poses[-1])):
         return DeskewedScan(middle, reference, ranges, scan.angles, SweepMotion.standing(len(ranges)))
     times = offsets - 0.5 * duration
     central = np.abs(times) <= 0.5 * USUAL_PERIOD
@@ -161,6 +161,14 @@ def deskew(
         fitted,
     )
     return DeskewedScan(middle, se2.compose(reference, error), ranges, bearings, motion)
+
+
+def _is_standing(odometry: OdometryHistory, begin: float, duration: float, motion: se2.Pose) -> bool:
+    """Return True if the smoothed `motion` during a sweep can be jitter; `begin` and `duration` are in seconds."""
+    travel = float(wheel_travel(motion))
+    if travel < MIN_SWEEP_TRAVEL or travel > MIN_SPEED * duration:
+        return travel < MIN_SWEEP_TRAVEL
+    return travel < NORMAL_LIMIT * 2**0.5 * jitter_of_readings(odometry, begin, begin + duration)
 
 
 def _seen_from_middle(

@@ -140,6 +140,22 @@ def test_an_instantaneous_sweep_is_unchanged() -> None:
     assert len(deskew(empty, circle_history(), np.zeros(3)).ranges) == 0
 
 
+@pytest.mark.parametrize("jitter", [0.0, 2e-4, 5e-4])
+def test_the_scan_of_a_standing_robot_is_not_bent_by_jitter(jitter: float) -> None:
+    """Readings err independently: by `jitter` metres, and by as much of turning, at wheels 0.35 m apart."""
+    random, stamps = np.random.default_rng(5), np.arange(0.0, 40.0, 0.04)
+    poses = jitter * np.array([1.0, 0.0, 1.0 / 0.175]) * random.standard_normal((len(stamps), 3))
+    standing, slow = (
+        OdometryHistory.from_arrays(stamps, poses + np.outer(speed * stamps, [1.0, 0.0, 0.0])) for speed in (0.0, 0.09)
+    )
+    angles, offsets = np.linspace(-3.0, 3.0, 61), np.linspace(0.0, 0.18, 61)
+    scans = [Scan(stamp, np.full(61, 2.0), angles, offsets, 0.1, 10.0) for stamp in np.arange(0.01, 39.0, 0.2)]
+    bent = [bool(deskew(scan, standing, np.zeros(3)).motion.reach) for scan in scans]
+    assert np.mean(bent) < 0.02
+    moved = [bool(deskew(scan, slow, np.zeros(3)).motion.reach) for scan in scans]
+    assert np.mean(moved) > 0.9
+
+
 def test_the_jitter_of_a_reading_does_not_rotate_the_scan() -> None:
     random, history, stamps = np.random.default_rng(2), OdometryHistory(), np.arange(0.0, 40.0, 0.01)
     for stamp in stamps:
