@@ -15,15 +15,17 @@ import numpy as np
 
 from drivers import se2
 
+from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import CLOSING_UPDATES
 from ..loop_closure.closing import LOOP_FACTOR_COVARIANCE
 from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.frame_change import change_frame
+from ..mapping.local_map import MAX_PREDICTED_VARIANCE
 from ..mapping.map_features import MapWalls
 from ..mapping.plan_map import PlanMap
 from ..mapping.plan_walls import PlanWall, contradicts, walls_on_plan
-from .plan_recognition import RECENT_DISTANCE, PlacedMap, PlanRecognition
+from .plan_recognition import RECENT_DISTANCE, PlacedMap, PlanRecognition, pose_covariance_in_plan
 
 if TYPE_CHECKING:
     from ..localisation.local_field import LocalField
@@ -51,7 +53,7 @@ class PlanPrior:
         self._recognition = PlanRecognition(plan_map, start, start_covariance)
         self._supported: set[int] = set()  # walls of the map
         self._observed = -1  # last keyframe whose walls were compared with the plan
-        self._last_supported = 0  # last keyframe that saw a wall which the plan supports
+        self._last_supported = 0  # last keyframe that the plan supports
 
     def __deepcopy__(self, memo: dict[int, object]) -> PlanPrior:
         """Return an independent copy; the plan is never changed and is shared."""
@@ -176,7 +178,7 @@ class PlanPrior:
     # --- support
 
     def _is_supported(self, mapper: Mapper) -> bool:
-        """Return True if the robot has seen a wall that the plan supports in the last metres of driving."""
+        """Return True if the plan has supported a keyframe in the last metres of driving."""
         return mapper.travelled[-1] - mapper.travelled[self._last_supported] < SUBMAP_LENGTH
 
     def _support_observed(self, mapper: Mapper) -> None:
@@ -194,8 +196,16 @@ class PlanPrior:
         if agreeing:
             self._support(mapper, agreeing)
             mapper.graph.update()
-        if agreeing or known.any():
+        if (agreeing or known.any()) and self._walls_are_comparable(mapper):
             self._last_supported = last
+
+    def _walls_are_comparable(self, mapper: Mapper) -> bool:
+        """Return True if the position in the plan is so well known that walls of all directions can agree with it.
+
+        Along a corridor it may be lost although the walls on both sides agree.
+        """
+        covariance = pose_covariance_in_plan(mapper, self._last_supported)
+        return position_sigma(covariance) ** 2 < MAX_PREDICTED_VARIANCE
 
     def _support(self, mapper: Mapper, stated: list[PlanWall]) -> None:
         """Add what the plan states about walls to the graph, effective with its next update.

@@ -84,8 +84,7 @@ class PlanRecognition:
     def search(self, mapper: Mapper, local_field: LocalField, last_supported: int | None) -> PlacedMap | None:
         """Return the place of the map in the plan if it is certain.
 
-        last_supported  last keyframe that saw a wall which the plan supports; None if the map is not in the plan's
-                        frame yet
+        last_supported  last keyframe that the plan supports; None if the map is not in the plan's frame yet
         """
         travelled = np.asarray(mapper.travelled)
         last, now = mapper.keyframe_count - 1, float(travelled[-1])
@@ -104,7 +103,7 @@ class PlanRecognition:
         """Search for the drive up to now; arguments and result are those of `search`."""
         first, near = mapper.landmarks.parts.last_run_first, None
         if last_supported is not None:
-            covariance = _pose_covariance(mapper, last_supported) + np.diag(UNMODELLED_SIGMAS**2)
+            covariance = pose_covariance_in_plan(mapper, last_supported) + np.diag(UNMODELLED_SIGMAS**2)
             first, near = last_supported + 1, Uncertainty(covariance)
         location = locate(self._drive.take(mapper, local_field, first), self._map, STATED, near)
         if not location.accepted:
@@ -140,10 +139,10 @@ def _scan_plan(plan_map: PlanMap, index: MapIndex) -> ScannedMap:
     return scan_map(index, poses, [surface_points(v.points, v.segments, POINT_SPACING) for v in plan_map.views])
 
 
-def _pose_covariance(mapper: Mapper, last_supported: int) -> Floats:
+def pose_covariance_in_plan(mapper: Mapper, last_supported: int) -> Floats:
     """Return the covariance (3, 3) of the last keyframe's pose in the plan, in its own frame.
 
-    last_supported  last keyframe that saw a wall which the plan supports: drift counts from there on
+    last_supported  last keyframe that the plan supports: drift counts from there on
     """
     last = mapper.keyframe_count - 1
     drift = embed_position_covariance(mapper.correlated_drift[last] - mapper.correlated_drift[last_supported])

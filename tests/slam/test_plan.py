@@ -214,16 +214,19 @@ def drive_round_the_square(seed: int, rate: float, reach: float) -> tuple[list[M
     return messages, Slam(Config(loop_closure=LoopClosureConfig(enabled=False)), plan=plan, start=start)
 
 
-def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns() -> None:
-    """The drift in the part that the plan does not show is half a metre."""
-    messages, slam = drive_round_the_square(seed=2, rate=3.0, reach=8.0)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns(seed: int) -> None:
+    """Along the corridor on which it returns, the drift is half a metre, while both sides agree with the plan."""
+    messages, slam = drive_round_the_square(seed, rate=3.0, reach=8.0)
     drift = 0.0
     for message in messages:
         slam.add(message)
         if isinstance(message, GroundTruth) and 10.0 < message.stamp < 110.0:  # the place is recognised after some 5 s
             drift = max(drift, float(np.hypot(*(slam.pose - message.pose)[:2])))
     assert drift > 0.5
-    assert errors(slam.finish(), messages).max() < 0.2
+    final = errors(slam.finish(), messages)
+    assert final.max() < 0.2
+    assert final[-1] < 0.1
 
 
 @pytest.mark.parametrize(("seed", "rate"), [(2, 5.5), (3, 2.5), (3, 4.5)])
