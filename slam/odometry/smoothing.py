@@ -66,22 +66,29 @@ def smoothed_poses(odometry: OdometryHistory, stamps: Floats) -> tuple[Floats, f
     return np.asarray(compose_each(interpolated, limited)), speed_error
 
 
-def jitter_of_readings(odometry: OdometryHistory, begin: float, end: float) -> float:
-    """Return the standard deviation of odometry's readings around a sweep, metres of wheel travel.
+def is_within_jitter(odometry: OdometryHistory, begin: float, end: float, travel: float) -> bool:
+    """Return True if a motion during a sweep, and the trend of the readings around it, can be jitter of the readings.
 
     begin, end  stamps of the sweep, seconds; readings up to REACH before it count
-    It is zero if there are too few readings. Of three readings, the second is off from the line through the others by
-    e, see `error_of_stamps`; the median ignores changes of speed.
+    travel      metres of wheel travel from one to the other
+
+    Of three readings, the second is off from the line through the others by e, see `error_of_stamps`; the median tells
+    the jitter and ignores changes of speed. If a robot moves steadily, errors of stamps look like jitter, too, but its
+    readings have a trend, which is fitted by least squares. False if there are too few readings.
     """
     times, readings = odometry.readings_between(begin - REACH, end)
     if len(times) < MIN_READINGS:
-        return 0.0
+        return False
     poses = between_each(readings[:1], readings)
     poses[:, 2] = unwrapped(poses[:, 2].copy())
     share = ((times[1:-1] - times[:-2]) / (times[2:] - times[:-2]))[:, None]
     error = poses[1:-1] - (1.0 - share) * poses[:-2] - share * poses[2:]
     scaled = error / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-    return NORMAL_SCALE * float(wheel_travel(np.median(np.abs(scaled), axis=0)))
+    jitter = NORMAL_SCALE * float(wheel_travel(np.median(np.abs(scaled), axis=0)))
+    centred = times - times.mean()
+    spread = float(np.linalg.norm(centred))
+    trend = float(wheel_travel(centred @ poses / spread))
+    return travel < NORMAL_LIMIT * 2**0.5 * jitter and trend < NORMAL_LIMIT * jitter
 
 
 def _gain_of_speed(times: Floats, ratio: float, begin: float) -> float:

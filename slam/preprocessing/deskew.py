@@ -25,7 +25,7 @@ from ..geometry.segments import Floats
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import MIN_SPEED, OdometryHistory, wheel_travel
 from ..odometry.measurement_clock import USUAL_PERIOD
-from ..odometry.smoothing import jitter_of_readings, smoothed_poses
+from ..odometry.smoothing import is_within_jitter, smoothed_poses
 
 # Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
 # odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
@@ -168,7 +168,7 @@ def _is_standing(odometry: OdometryHistory, begin: float, duration: float, motio
     travel = float(wheel_travel(motion))
     if travel < MIN_SWEEP_TRAVEL or travel > MIN_SPEED * duration:
         return travel < MIN_SWEEP_TRAVEL
-    return travel < NORMAL_LIMIT * 2**0.5 * jitter_of_readings(odometry, begin, begin + duration)
+    return is_within_jitter(odometry, begin, begin + duration, travel)
 
 
 def _seen_from_middle(
