@@ -96,14 +96,14 @@ class PlanPrior:
         graph, refuted = mapper.graph, set[int]()
         is_new_graph = not graph.plan_walls()  # after a refinement, which builds a graph without factors of the plan
         current = set(self._candidates(mapper).tolist())  # without merged walls, in place of which others are tested
-        graph.remove_factors([number for wall, (number, _) in graph.plan_walls().items() if wall not in current])
+        graph.remove_factors(factor for wall, factor in graph.plan_walls().items() if wall not in current)
         for _ in range(MAX_ROUNDS):
             walls = self._candidates(mapper)
             frames, covariances = graph.wall_frames(walls.tolist()), _covariances(mapper, walls)
             supported, row = graph.plan_walls(), {wall: k for k, wall in enumerate(walls.tolist())}
             wrong = [
                 wall
-                for wall, (_, factor) in supported.items()
+                for wall, factor in supported.items()
                 if wall in row
                 and contradicts(frames[row[wall]], covariances[row[wall]], factor.measured, factor.covariance)
             ]
@@ -113,7 +113,7 @@ class PlanPrior:
             if not wrong and not added:
                 break
             self._support(mapper, added)
-            graph.remove_factors([supported[wall][0] for wall in wrong])
+            graph.remove_factors(supported[wall] for wall in wrong)
             graph.update_until_converged()
             mapper.read_back_all()
         self._supported = set(graph.plan_walls())
@@ -160,15 +160,15 @@ class PlanPrior:
         A temporary prior moves the map into place: the walls that agree with the plan then hold it there.
         """
         graph, last = mapper.graph, mapper.keyframe_count - 1
-        graph.add_keyframe_prior(last, se2.compose(motion, mapper.pose), LOOP_FACTOR_COVARIANCE)
-        temporary = graph.update()
+        temporary = graph.add_keyframe_prior(last, se2.compose(motion, mapper.pose), LOOP_FACTOR_COVARIANCE)
+        graph.update()
         graph.update_until_converged(CLOSING_UPDATES)
         mapper.read_back_all()
         walls = self._recent(mapper, last)
         walls = walls[~self._are_supported(walls)]
         frames, covariances = graph.wall_frames(walls.tolist()), _covariances(mapper, walls)
         self._support(mapper, walls_on_plan(walls, frames, _extents(mapper, walls), covariances, self._walls))
-        graph.remove_factors(temporary)
+        graph.remove_factors([temporary])
         graph.update_until_converged(CLOSING_UPDATES)
         mapper.read_back_all()
         self._last_supported = last

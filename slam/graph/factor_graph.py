@@ -140,12 +140,12 @@ class FactorGraph(GraphEstimate):
         """
         self._add(FactorKind.WALL_EQUALITY, wall, other, np.array([along, 0.0, 0.0]), np.diag(SAME_WALL_SIGMAS**2))
 
-    def add_keyframe_prior(self, keyframe: int, pose: se2.Pose, covariance: Floats) -> None:
-        """Add the `pose` of a keyframe in the map, without a robust kernel.
+    def add_keyframe_prior(self, keyframe: int, pose: se2.Pose, covariance: Floats) -> Factor:
+        """Add the `pose` of a keyframe in the map, without a robust kernel, and return the factor.
 
         covariance  (3, 3) in the keyframe's frame
         """
-        self._add(FactorKind.POSE_PRIOR, keyframe, keyframe, pose, covariance)
+        return self._add(FactorKind.POSE_PRIOR, keyframe, keyframe, pose, covariance)
 
     def add_plan_wall(self, wall: int, frame: se2.Pose, covariance: Floats) -> None:
         """Add the `frame` of a wall in the map by a plan, near the wall's own, with the covariance (2, 2) there."""
@@ -159,12 +159,12 @@ class FactorGraph(GraphEstimate):
         """Add the surveyed `frame` of a wall in the map, near the wall's own, with the covariance (2, 2) there."""
         self._add(FactorKind.PINNED_WALL, wall, wall, frame, covariance)
 
-    def add_loop(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> None:
-        """Add a keyframe's pose relative to an old one, without a robust kernel.
+    def add_loop(self, old: int, keyframe: int, relative: se2.Pose, covariance: Floats) -> Factor:
+        """Add a keyframe's pose relative to an old one, without a robust kernel, and return the factor.
 
         covariance  (3, 3) in the keyframe's frame
         """
-        self._add(FactorKind.LOOP, old, keyframe, relative, covariance)
+        return self._add(FactorKind.LOOP, old, keyframe, relative, covariance)
 
     def add_point_map(self, keyframe: int, covariance: Floats) -> None:
         """Add the points of a keyframe as a body that scans are matched with, unless that has been done.
@@ -211,8 +211,10 @@ class FactorGraph(GraphEstimate):
         measured: Floats,
         covariance: Floats,
         bias_slope: Floats = NO_SLOPE[:0],
-    ) -> None:
-        self.additions.factors.append(Factor(kind, int(first), int(second), measured, covariance, bias_slope))
+    ) -> Factor:
+        factor = Factor(kind, int(first), int(second), measured, covariance, bias_slope)
+        self.additions.factors.append(factor)
+        return factor
 
     def keyframe_pose(self, index: int) -> se2.Pose:
         """Return a keyframe's pose in the map, also of one that waits for `update`."""
@@ -232,20 +234,17 @@ class FactorGraph(GraphEstimate):
 
     # --- solving
 
-    def update(self) -> list[int]:
-        """Solve with all additions since the last update, and return the numbers of the new factors.
+    def update(self) -> None:
+        """Solve with all additions since the last update.
 
         Raises MapError if the geometry leaves a variable undetermined.
         """
-        return self._update()
+        self._update()
 
-    def _update(self, *, relinearize: bool = False, remove: Sequence[int] = ()) -> list[int]:
+    def _update(self, *, relinearize: bool = False, remove: Sequence[int] = ()) -> None:
         """Pass the additions to the solver; for the arguments see there."""
-        numbers = self.solver.update(
-            self.additions.factors, self.additions.values, relinearize=relinearize, remove=remove
-        )
+        self.solver.update(self.additions.factors, self.additions.values, relinearize=relinearize, remove=remove)
         self.additions = Additions()
-        return numbers
 
     def update_until_converged(self, max_updates: int = MAX_CONVERGING_UPDATES) -> None:
         """Update and relinearise until the estimate has converged, at most `max_updates` times."""
@@ -256,9 +255,10 @@ class FactorGraph(GraphEstimate):
             if abs(distance - before) < CONVERGED_CHANGE:
                 return
 
-    def remove_factors(self, numbers: Sequence[int]) -> None:
-        """Remove factors by their numbers."""
-        self._update(relinearize=True, remove=numbers)
+    def remove_factors(self, factors: Iterable[Factor]) -> None:
+        """Remove factors that the graph has been solved with."""
+        removed = set(factors)
+        self._remove_if(lambda factor: factor in removed)
 
     def remove_matches(self, since: int, last: int) -> None:
         """Remove the scan and submap matches of keyframes from `since` on with keyframes up to `last`."""
@@ -271,7 +271,8 @@ class FactorGraph(GraphEstimate):
 
     def _remove_if(self, condition: Callable[[Factor], bool]) -> None:
         """Remove the factors that satisfy a condition."""
-        self.remove_factors([number for number, factor in self.solver.factors.items() if condition(factor)])
+        numbers = [number for number, factor in self.solver.factors.items() if condition(factor)]
+        self._update(relinearize=True, remove=numbers)
 
     def move_wall_segments(self, moves: Sequence[tuple[int, se2.Pose, Sequence[WallSegment]]]) -> None:
         """Make some segments observations of new walls instead of those they belong to, and update.
@@ -290,18 +291,17 @@ class FactorGraph(GraphEstimate):
                 removed += segment.numbers
         self._update(relinearize=True, remove=removed)
 
-    def solve_batch(self) -> list[int]:
+    def solve_batch(self) -> None:
         """Optimise everything added to an empty graph with Levenberg-Marquardt, and continue from that estimate.
 
-        Returns the numbers of the factors, in the order in which they were added. Raises MapError if the geometry
-        leaves a variable undetermined.
+        Raises MapError if the geometry leaves a variable undetermined.
         """
         try:
             factors = to_gtsam_graph(self.additions.factors, self.solver.range_bias.metres)
             self.additions.values = gtsam.LevenbergMarquardtOptimizer(factors, self.additions.values).optimize()
         except RuntimeError as error:
             raise MapError(f"the map cannot be estimated: {first_line(error)}") from error
-        return self.update()
+        self.update()
 
     # --- copying
 

@@ -109,10 +109,9 @@ class GraphEstimate:
         """Return the keyframe and the wall of each observation of a wall, in the order in which they were added."""
         return [(factor.first, factor.second) for factor in self._factors_of(FactorKind.WALL_HEADING)]
 
-    def plan_walls(self) -> dict[int, tuple[int, Factor]]:
-        """Return the number and the factor of each wall that a plan states, by wall."""
-        found = ((n, factor) for n, factor in self.solver.factors.items() if factor.kind is FactorKind.PLAN_WALL)
-        return {factor.first: (number, factor) for number, factor in found}
+    def plan_walls(self) -> dict[int, Factor]:
+        """Return the factor of each wall that a plan states, by wall."""
+        return {f.first: f for f in self.solver.factors.values() if f.kind is FactorKind.PLAN_WALL}
 
     def pins(self) -> list[Factor]:
         """Return the factors with surveyed coordinates, without those waiting for `update`."""

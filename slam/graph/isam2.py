@@ -160,8 +160,8 @@ class IncrementalSolver:
         *,
         relinearize: bool = False,
         remove: Sequence[int] = (),
-    ) -> list[int]:
-        """Add factors and initial values of new variables, and return the numbers of the new factors.
+    ) -> None:
+        """Add factors and initial values of new variables.
 
         relinearize  relinearise whatever has moved by more than its threshold, also if it is not its turn
         remove       numbers of factors to be removed
@@ -170,7 +170,7 @@ class IncrementalSolver:
         Raises MapError if the geometry leaves a variable undetermined.
         """
         if self.batch is not None and relinearize and self._update_batch(self.batch, new, values, remove):
-            return list(range(len(self.factors) - len(new), len(self.factors)))
+            return
         isam = self.isam
         parameters = gtsam.ISAM2UpdateParams()
         parameters.force_relinearize = relinearize
@@ -189,7 +189,6 @@ class IncrementalSolver:
             slots = self.isam.getFactorsUnsafe().size()
             numbers = list(range(slots - len(new), slots))
         self.factors.update(zip(numbers, new, strict=True))
-        return numbers
 
     def restore(self, factors: Sequence[Factor], values: gtsam.Values, updates: int) -> None:
         """Add the factors and linearisation points of a solver after some `updates` to this empty one.

@@ -66,9 +66,8 @@ def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.boo
     Nothing else may hold the keyframes in place. Returns the decision, accepted or rejected, as `close_loop` does.
     """
     graph = mapper.graph
-    for match in decision.matches:
-        graph.add_loop(match.old, match.keyframe, match.relative, LOOP_FACTOR_COVARIANCE)
-    numbers = graph.update()
+    temporary = [graph.add_loop(m.old, m.keyframe, m.relative, LOOP_FACTOR_COVARIANCE) for m in decision.matches]
+    graph.update()
     graph.update_until_converged(CLOSING_UPDATES)
     mapper.read_back_all()
     agreeing = [match for match in decision.matches if _agrees(mapper, match)]
@@ -76,7 +75,7 @@ def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.boo
         reason = "the matches do not fit the corrected map"
         return replace(decision, status=LoopStatus.REJECTED, reason=reason)
     merged = _merge_coinciding_walls(mapper, recent)
-    graph.remove_factors(numbers)
+    graph.remove_factors(temporary)
     for match in agreeing:
         graph.add_loop(match.old, match.keyframe, match.relative, POINT_SHARING * match.covariance)
     graph.update()

@@ -292,15 +292,13 @@ class Mapper(MappedKeyframes):
         """Add the free-space evidence of a scan between keyframes, whose walls the graph may still wait for."""
         self.free_space_evidence.count(self.landmarks, pose, points, self.travelled, self.pose_covariances)
 
-    def solve(self) -> list[int]:
+    def solve(self) -> None:
         """Solve in batch all keyframes added to an empty mapper with `add_keyframe_with_ids`, and read all back.
 
-        Returns the numbers of the graph's factors, in the order in which they were added. Pose covariances are not
-        computed; see `recompute_pose_covariances`.
+        Pose covariances are not computed; see `recompute_pose_covariances`.
         """
-        numbers = self.graph.solve_batch()
+        self.graph.solve_batch()
         self.read_back()
-        return numbers
 
     # --- reading the estimate back
 

@@ -103,9 +103,8 @@ def _merge_maps(
         mapper.add_keyframe_with_ids(poses[k], odometry, features.segments, features.corners, landmark_ids)
     mapper.graph.add_matches(merge_matches(first, second))
     matches = [_match_of(member, first) for member in members]
-    for old, new, relative, _ in matches:
-        mapper.graph.add_loop(old, new, relative, LOOP_FACTOR_COVARIANCE)
-    temporary = mapper.solve()[-len(members) :]
+    temporary = [mapper.graph.add_loop(old, new, to, LOOP_FACTOR_COVARIANCE) for old, new, to, _ in matches]
+    mapper.solve()
     mapper.recompute_pose_covariances()
     _merge_matched_walls(mapper, members, len(first.landmarks.walls))
     mapper.graph.remove_factors(temporary)
