@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -55,7 +56,9 @@ def return_code_of_imports() -> None:
     with suppress(OSError, AttributeError, ValueError):
         madvise = _library().madvise
         madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
-        for begin, end in _unwritten_library_parts(Path("/proc/self/smaps").read_text(encoding="utf-8")):
+        with Path("/proc/self/smaps").open(encoding="utf-8") as smaps:
+            parts = _unwritten_library_parts(smaps)
+        for begin, end in parts:
             madvise(begin, end - begin, MADV_DONTNEED)
 
 
@@ -65,11 +68,11 @@ def _library() -> ctypes.CDLL:
     return ctypes.CDLL(None)
 
 
-def _unwritten_library_parts(smaps: str) -> list[tuple[int, int]]:
+def _unwritten_library_parts(smaps: Iterable[str]) -> list[tuple[int, int]]:
     """Return begin and end of the read-only parts of shared libraries in which no page was written to."""
     parts: list[tuple[int, int]] = []
     current: tuple[int, int] | None = None
-    for line in smaps.splitlines():
+    for line in smaps:
         words = line.split()
         if words[0] == "Anonymous:" and current is not None and words[1] == "0":
             parts.append(current)

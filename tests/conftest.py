@@ -58,7 +58,7 @@ def command_line_is_built_once() -> Iterator[None]:
 def code_stays_in_memory() -> Iterator[None]:
     """Do not return the code of imported libraries to the system at each run: the next test needs it again."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in ("slam_run", "run_writer"):
+        for module in ("slam_run", "run_writer", "autosave"):
             patch.setattr(f"slam.cli.{module}.return_code_of_imports", lambda: None)
         yield
 

@@ -13,7 +13,7 @@ from typing import Self
 
 from ..errors import MapError, OutputError, first_line
 from ..io.output_dir import OutputDirectory
-from ..memory import return_freed_memory
+from ..memory import return_code_of_imports, return_freed_memory
 from .console import print_message
 from .terminal_keys import TerminalKeys
 
@@ -94,6 +94,7 @@ class Autosave:
 
     def _save(self, requested: bool, began: float) -> None:
         problem = self._write_prepared()
+        return_code_of_imports()  # of the libraries that write tables
         return_freed_memory()  # else what a save has freed stays in gaps between what the run keeps
         took = time.monotonic() - began
         self._due = began + max(PERIOD, took / LARGEST_SHARE)

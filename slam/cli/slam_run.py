@@ -85,6 +85,7 @@ def run_slam(
                 directory, setup.config, run_input.name, controls.server, seed, complete=run_input.finite
             )
             sinks.append(reviewed := log.enter_context(written))
+        _settle_memory()
         writer = RunWriter(run_input, setup, statistics, notices.texts, picture, seed, time.perf_counter())
         autosave = Autosave(output, lambda: writer.snapshot(slam), keys)
 
@@ -120,7 +121,12 @@ def _load_code(*, finite: bool) -> None:
     else:
         compile_all()
         return_large_blocks(LARGE_LIVE_BLOCK)
-    import_module("slam.pipeline")  # so that its modules are frozen, too
+    import_module("slam.pipeline")
+    return_code_of_imports()  # before Rerun is imported, which needs as much
+
+
+def _settle_memory() -> None:
+    """Return what only the imports of a run needed, also those of its review log, and keep what they left."""
     return_code_of_imports()
     gc.freeze()  # otherwise a full collection over all imported modules delays a scan by 0.1 s
     gc.set_threshold(RUN_COLLECTION_THRESHOLD)

@@ -170,10 +170,11 @@ def test_a_state_that_cannot_be_copied_does_not_end_the_run(
 
 
 def test_the_memory_that_a_save_needed_is_returned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also that of the copy of the run, which grows with the drive."""
+    """Also that of the copy of the run, which grows with the drive, and that of the code of libraries."""
     steps: list[str] = []
     monkeypatch.setattr("slam.cli.autosave.PERIOD", 0.0)
     monkeypatch.setattr("slam.cli.autosave.return_freed_memory", lambda: steps.append("returned"))
+    monkeypatch.setattr("slam.cli.autosave.return_code_of_imports", lambda: steps.append("code returned"))
 
     class Copy:
         def __del__(self) -> None:
@@ -191,7 +192,7 @@ def test_the_memory_that_a_save_needed_is_returned(tmp_path: Path, monkeypatch: 
     with (output := OutputDirectory(tmp_path / "map")), Autosave(output, prepare, TerminalKeys()) as autosave:
         autosave.poll()
         wait_until_saved()
-    assert steps == ["written", "released", "returned"]
+    assert steps == ["written", "released", "code returned", "returned"]
 
 
 def test_a_save_leaves_no_classes_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

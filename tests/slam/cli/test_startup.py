@@ -73,15 +73,18 @@ def test_a_run_of_a_log_loads_no_library_of_other_formats_and_tables_at_the_end(
 
 
 def test_the_review_log_is_written_without_scipy(mapped: tuple[Path, list[str]], tmp_path: Path) -> None:
+    """The code of Rerun is returned to the system as well, once it is imported."""
     recording = mapped[0].parent / "log.clf"
     code = (
         f"import sys; sys.argv = ['wclm', 'run', {str(recording)!r}, '--out', {str(tmp_path / 'out')!r}]\n"
-        "before = set(sys.modules)  # what measures the tests\nimport slam.cli\n"
+        "before = set(sys.modules)  # what measures the tests\nimport slam.cli, slam.cli.slam_run\n"
+        "returned = []\n"
+        "slam.cli.slam_run.return_code_of_imports = lambda: returned.append('rerun' in sys.modules)\n"
         "try: slam.cli.main()\nexcept SystemExit as end: assert not end.code\n"
-        "print(sorted({'scipy.special'} & set(sys.modules) - before), file=sys.stderr)"
+        "print(sorted({'scipy.special'} & set(sys.modules) - before), returned, file=sys.stderr)"
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=250)
-    assert answer.stderr.splitlines()[-1] == "[]"
+    assert answer.stderr.splitlines()[-1] == "[] [False, True]"
     assert (tmp_path / "out" / "review.rrd").stat().st_size > 0
 
 
