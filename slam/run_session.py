@@ -18,6 +18,7 @@ from .estimation.slam_state import SlamState
 from .events import Finished
 from .io.stored_session import StoredSession
 from .loop_closure.agreement import LoopAgreement
+from .memory import return_freed_memory
 from .preprocessing.preprocessor import Preprocessor
 from .reporting.run_statistics import RunStatistics
 
@@ -39,6 +40,7 @@ class RunSession:
         """Return the session of a run without queued scans; `state` is then no longer changed by the run."""
         state.mapper.gauge.release(state.mapper)
         state.mapper.graph.solver.dismiss_isam()
+        return_freed_memory()
         return self._stored(state)
 
     def with_queue(self, state: SlamState) -> StoredSession:
@@ -58,8 +60,10 @@ class RunSession:
 
     def snapshot(self, state: SlamState, summary: dict[str, Any], after: float) -> RunSnapshot:
         """Return a copy of the run while it goes on; for `summary` and `after` see `RunSnapshot`."""
-        segments = self.journal.segments
-        session = self._stored(state.copy())
+        segments, copied = self.journal.segments, state.copy()
+        if copied.mapper.gauge.motion is None:  # else the graph is solved once more, for `RunSnapshot.finished`
+            copied.mapper.graph.solver.dismiss_isam()  # it would keep what the run replaces meanwhile
+        session = self._stored(copied)
         session.scans, session.queued_scans = self.journal.scans.copy(), self.preprocessor.queued
         session.starts = list(segments.starts)
         session.odometry = [history.copy() for history in segments.histories]

@@ -64,9 +64,13 @@ class ClosureMonitor:
         self._closures.append(MonitoredClosure(checkpoint, decision, travelled, travelled))
 
     def record(self, scan: ProcessedScan) -> None:
-        """Store a scan: it has to be processed again if a closure is undone."""
+        """Store a scan: it has to be processed again if a closure is undone.
+
+        By then nothing is read from the graph of a checkpoint any more, whose iSAM2 takes most of its memory.
+        """
         for closure in self._closures:
             closure.scans.append(scan)
+            closure.checkpoint.mapper.graph.solver.dismiss_isam()
 
     def contradicted(self, mapper: Mapper, *, lost: bool) -> MonitoredClosure | None:
         """Check the closures; return the oldest contradicted one with its decision retracted, and stop monitoring it.

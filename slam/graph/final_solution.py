@@ -5,6 +5,7 @@ from __future__ import annotations
 from gtsam.symbol_shorthand import L, X
 
 from ..geometry.segments import Floats
+from ..memory import return_freed_memory
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
 from .factor_graph import Additions, FactorGraph
@@ -31,6 +32,7 @@ def solve_with_range_bias(graph: FactorGraph, *, correlate: bool = False) -> Non
         factors, arrays = with_correlated_errors(factors, divisors), arrays.with_divided_information(divisors)
     values = arrays.values_of(solver.estimate())
     solver.dismiss_isam()  # the batch solution takes its place, and needs memory too
+    return_freed_memory()
     solver.range_bias = estimate_range_bias(arrays, values, solver.range_bias) or solver.range_bias
     _solve_at_once(graph, factors, arrays.at_bias(solver.range_bias.metres), values)
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
-from ..memory import return_freed_memory
 from .array_graph import ArrayGraph
 from .batch_solution import BatchSolution
 from .factors import Factor
@@ -79,7 +78,6 @@ class IncrementalSolver:
         """Free the memory of iSAM2, which is many times that of the factors. It is built again when it is needed."""
         if self._isam is not None:
             self._dismissed, self._isam = gtsam.Values(self._isam.getLinearizationPoint()), None
-            return_freed_memory()
 
     def replace_by_batch(self, factors: Sequence[Factor], solution: BatchSolution) -> None:
         """Replace iSAM2 by a batch solution of `factors`, whose numbers are then their indices.

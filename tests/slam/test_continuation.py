@@ -15,6 +15,7 @@ from slam.config import Config, config_to_toml
 from slam.errors import MapError, MessageError
 from slam.evaluation.metrics import align
 from slam.events import EventRecorder, Finished, GraphInspected, Notice
+from slam.graph.isam2 import IncrementalSolver
 from slam.io.output_dir import CONFIG
 from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
@@ -122,6 +123,17 @@ def test_the_continuation_of_a_run_does_not_depend_on_when_it_was_interrupted(
     write_session(tmp_path, snapshot.session)
     _, finished, _ = run([message for message in messages if message.stamp >= cut], tmp_path)
     np.testing.assert_allclose(finished.poses, whole.finish().poses, atol=1e-6)
+
+
+def test_a_state_is_saved_without_isam2(first: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """While it is saved, a copy would keep all the parts that the run replaces in its own one."""
+    slam = Slam()
+    for message in first[: len(first) // 2]:
+        slam.add(message)
+    snapshot = slam.snapshot()
+    monkeypatch.setattr(IncrementalSolver, "isam", property(lambda solver: pytest.fail("iSAM2 is needed")))
+    write_results(tmp_path, snapshot.finished(), Config(), snapshot.summary)
+    write_session(tmp_path, snapshot.session)
 
 
 def test_a_saved_state_can_be_continued_and_does_not_change_the_run(
