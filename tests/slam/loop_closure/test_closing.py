@@ -19,6 +19,8 @@ from slam.mapping.keyframes import KeyframeMotion
 from slam.mapping.local_map import empty_local_map
 from slam.mapping.mapper import Mapper
 
+from ..mapping.wall_groups import assert_merged_walls_are_equal_in_the_graph
+
 # Room with unequal sides and a niche: frames of the walls, seen from inside, and their half lengths.
 ROOM = np.array(
     [
@@ -100,17 +102,6 @@ def mapper_of_two_parts(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
     again = observe(mapper, mapper.pose, np.zeros(3), moved[:1], None)
     observe(mapper, mapper.pose, np.zeros(3), moved[:1], again)
     return mapper, first, second + again
-
-
-def assert_merged_walls_are_equal_in_the_graph(mapper: Mapper) -> None:
-    """Assert that walls merged into one wall are tied to each other by equalities, and only these."""
-    groups, equal = mapper.landmarks.walls.rows["merged_into"].tolist(), list(range(len(mapper.landmarks.walls)))
-    for factor in mapper.graph.solver.sorted_factors() + mapper.graph.additions.factors:
-        if factor.kind is FactorKind.WALL_EQUALITY:
-            one, other = equal[factor.first], equal[factor.second]
-            equal = [one if each == other else each for each in equal]
-    walls = range(len(groups))
-    assert all((groups[a] == groups[b]) == (equal[a] == equal[b]) for a in walls for b in walls)
 
 
 def agreeing_decision(mapper: Mapper, relatives: list[se2.Pose]) -> LoopDecision:

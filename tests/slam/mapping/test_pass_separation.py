@@ -17,6 +17,8 @@ from slam.mapping.manual_changes import tie_walls
 from slam.mapping.mapper import Mapper
 from slam.mapping.pass_separation import Pass, separate_pass
 
+from .wall_groups import assert_merged_walls_are_equal_in_the_graph
+
 WALLS = np.array([[3.0, 0.0, 0.0, 3.0], [6.0, 2.0, np.pi / 2, 2.0], [3.0, 4.0, np.pi, 3.0]])
 """Frames and half lengths of the walls of a room."""
 AWAY, AGAIN = 10, 18
@@ -125,6 +127,7 @@ def test_walls_merged_across_passes_are_unmerged_unless_a_person_has_tied_them(
     separate_pass(tied, second_pass(), segments, ties=[(0, 3)])
     assert shown(tied) == [0, 1, 2, 4, 5]
     assert tied.landmarks.walls.rows["observations"][0] == AWAY + COUNT - AGAIN
+    assert_merged_walls_are_equal_in_the_graph(tied)
 
 
 def test_walls_that_the_pass_has_removed_are_there_again(driven: tuple[Mapper, list[Segments]]) -> None:
@@ -151,3 +154,4 @@ def test_walls_merged_since_then_are_separated_if_a_gap_lies_between(driven: tup
     assert rows["merged_into"][4] == 1
     assert rows["observations"][0] == AWAY
     assert not of_pass[:5].any()
+    assert_merged_walls_are_equal_in_the_graph(mapper)
