@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..graph.factor_graph import CLOSING_UPDATES
+from ..graph.factors import Factor, FactorKind
 from ..mapping.mapper import Mapper
 from ..mapping.wall_merging import find_overlaps
 from .criteria import SUPPORT_RATIO
@@ -36,14 +38,17 @@ def close_loop(mapper: Mapper, decision: LoopDecision) -> LoopDecision:
     whole instead, or the old one if the last is that of the first keyframe. Returns the decision with status ACCEPTED;
     or REJECTED if too many matches do not agree with the corrected map, and then the mapper must be discarded.
     """
-    before, recent = mapper.pose, _is_recent(mapper, decision)
+    before, recent, temporary = mapper.pose, _is_recent(mapper, decision), moving_loops(decision)
+    moved = np.zeros(0, dtype=np.int64)
     if decision.joins:
-        mapper.join_part(decision.old, decision.correction)
+        moved = mapper.join_part(decision.old, decision.correction, temporary)
     else:
         _separate_passes(mapper, decision.since)
-    closed = pull_together(mapper, decision, recent)
+        mapper.graph.add_matches(temporary)
+    closed = pull_together(mapper, decision, recent, temporary)
     if closed.status is not LoopStatus.ACCEPTED:
         return closed
+    mapper.equalise_covariances(moved)  # the temporary loops would leave them too certain
     return replace(closed, shift=float(np.hypot(*(mapper.pose - before)[:2])))
 
 
@@ -60,13 +65,23 @@ def add_return(mapper: Mapper, match: LoopMatch) -> None:
     mapper.graph.add_submap_match(match.old, match.keyframe, match.relative, match.covariance)
 
 
-def pull_together(mapper: Mapper, decision: LoopDecision, recent: NDArray[np.bool_]) -> LoopDecision:
+def moving_loops(decision: LoopDecision) -> list[Factor]:
+    """Return temporary factors that move keyframes to their poses by a decision's matches."""
+    return [
+        Factor(FactorKind.LOOP, match.old, match.keyframe, match.relative, LOOP_FACTOR_COVARIANCE)
+        for match in decision.matches
+    ]
+
+
+def pull_together(
+    mapper: Mapper, decision: LoopDecision, recent: NDArray[np.bool_], temporary: Sequence[Factor]
+) -> LoopDecision:
     """Move keyframes to their poses by a decision's matches, then merge walls that coincide, if one is `recent` (w,).
 
-    Nothing else may hold the keyframes in place. Returns the decision, accepted or rejected, as `close_loop` does.
+    `temporary` are the `moving_loops`, which have been added to the graph. Nothing else may hold the keyframes in
+    place. Returns the decision, accepted or rejected, as `close_loop` does.
     """
     graph = mapper.graph
-    temporary = [graph.add_loop(m.old, m.keyframe, m.relative, LOOP_FACTOR_COVARIANCE) for m in decision.matches]
     graph.update()
     graph.update_until_converged(CLOSING_UPDATES)
     mapper.read_back_all()

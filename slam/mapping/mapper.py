@@ -259,10 +259,16 @@ class Mapper(MappedKeyframes):
         self.gauge.release(self)
         self.landmarks.parts.begin(self.keyframe_count, measured=measured)
 
-    def join_part(self, old: int, motion: se2.Pose) -> None:
-        """Move the last part by a `motion` [x, y, heading] in the map, and join it with that of the keyframe `old`."""
-        self.gauge.join(self, old, motion)
+    def join_part(self, old: int, motion: se2.Pose, loops: Sequence[Factor]) -> Integers:
+        """Move the last part by a `motion` [x, y, heading] in the map, and join it with that of the keyframe `old`.
+
+        loops  factors that connect both
+
+        Returns the keyframes that are moved; see `PartGauge.join`.
+        """
+        moved = self.gauge.join(self, old, motion, loops)
         self.landmarks.parts.join(old, self.keyframe_count - 1)
+        return moved
 
     # --- correcting the map
 

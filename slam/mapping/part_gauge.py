@@ -17,7 +17,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.pose_covariance import covariance_after
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..graph.factor_graph import FIRST_POSE_SIGMAS, FactorGraph
 from ..graph.factors import Factor, FactorKind
 from ..graph.rebuilding import RigidMotion, rebuild
@@ -77,23 +77,31 @@ class PartGauge:
             self._within = keyframe, updates, mapper.covariances.relative_in_graph(first, keyframe)
         return covariance_after(covariance, motion) + self._within[2]
 
-    def join(self, mapper: Mapper, old: int, motion: se2.Pose) -> None:
-        """Move the group of the last part by a `motion` [x, y, heading] in the map, and connect it by odometry.
+    def join(self, mapper: Mapper, old: int, motion: se2.Pose, loops: Sequence[Factor]) -> Integers:
+        """Move the group of the last part by a `motion` [x, y, heading] in the map, and connect it.
+
+        It is connected by odometry and by `loops`. Odometry alone, which may know nothing about the motion of a robot
+        that was carried, would determine its place too weakly for Cholesky.
 
         If it is the group of the first keyframe, which stays, the group of the keyframe `old` moves the other way.
+        Returns the keyframes that are moved.
         """
-        if self.motion is not None:
-            self.release(mapper, motion)
-        else:
-            _rebuild(mapper, old, se2.inverse(motion), lambda _: False, [])
+        kept = self._forget_motion()
+        if kept is None:
+            return _rebuild(mapper, old, se2.inverse(motion), lambda _: False, loops)
+        return _rebuild(mapper, kept.second, motion, lambda f: _holds(f, kept.second), [kept, *loops])
 
-    def release(self, mapper: Mapper, motion: se2.Pose | None = None) -> None:
-        """Connect the group of the last part by odometry, after moving it by a `motion` in the map."""
+    def release(self, mapper: Mapper) -> None:
+        """Connect the group of the last part by odometry."""
+        kept = self._forget_motion()
+        if kept is not None:
+            _rebuild(mapper, kept.second, np.zeros(3), lambda f: _holds(f, kept.second), [kept])
+
+    def _forget_motion(self) -> Factor | None:
+        """Return the motion kept aside, which enters the graph."""
         kept, self.motion = self.motion, None
         self._before, self._within = {}, None
-        if kept is not None:
-            moved = np.zeros(3) if motion is None else motion
-            _rebuild(mapper, kept.second, moved, lambda f: _holds(f, kept.second), [kept])
+        return kept
 
     def hold(self, mapper: Mapper) -> None:
         """Hold the group of the last part by a prior if it is not connected with the first part."""
@@ -165,8 +173,8 @@ def _leads_to(factor: Factor, keyframe: int) -> bool:
 
 def _rebuild(
     mapper: Mapper, keyframe: int, motion: se2.Pose, remove: Callable[[Factor], bool], add: Sequence[Factor]
-) -> None:
-    """Replace factors of the graph, and move the group of a keyframe by a motion in the map.
+) -> Integers:
+    """Replace factors of the graph, move the group of a keyframe by a motion in the map, and return its keyframes.
 
     The covariances of its keyframes' poses are set to that of the last one: they have nearly all of their error in
     common, and only differences of these covariances are used.
@@ -179,3 +187,4 @@ def _rebuild(
     landmarks.move(walls, corners, motion)
     mapper.read_back_all()
     mapper.equalise_covariances(keyframes)
+    return keyframes

@@ -15,7 +15,7 @@ from ...errors import MapError
 from ...graph.factors import Factor, FactorKind
 from ...io.sessions import StoredSession
 from ...io.sessions.corrections import LoopForbidding, Place, PlaceClosing, ProposedClosing
-from ...loop_closure.closing import pull_together
+from ...loop_closure.closing import moving_loops, pull_together
 from ...loop_closure.decision import LoopDecision
 from ...loop_closure.look import Look
 from ...loop_closure.loop_status import LoopStatus
@@ -53,13 +53,15 @@ class LoopCorrector:
         look, match = match_places(state, old, keyframe, motion)
         deviations = float(np.sqrt(look.squared_distance(old, match.pose)))
         decision = self._confirmed(candidate, old, keyframe, look, match)
+        temporary = moving_loops(decision)
         if decision.joins:
             recent = mapper.landmarks.parts.connected(mapper.landmarks.walls.rows["last_seen"], keyframe)
             join_groups(mapper, old, keyframe, decision.correction)
             state.joins.clear()
         else:
             recent = separate_pass(mapper, self._pass(decision.since, keyframe), self._segments, ties=ties)
-        closed = pull_together(mapper, decision, recent)
+        mapper.graph.add_matches(temporary)
+        closed = pull_together(mapper, decision, recent, temporary)
         if closed.status is not LoopStatus.ACCEPTED:
             raise MapError(f"keyframes {old} and {keyframe} are not one place by the other loop closures")
         state.local_field.link(old, keyframe)

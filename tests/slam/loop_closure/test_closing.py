@@ -33,10 +33,21 @@ ROOM = np.array(
     ]
 )
 INSIDE = np.array([2.0, 2.0, 0.3])
+WHEELS = np.diag([0.05, 0.05, 0.03]) ** 2
+"""Covariance (3, 3) of a motion by wheels."""
 
 
-def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, known: list[int] | None) -> list[int]:
+def observe(
+    mapper: Mapper,
+    pose: se2.Pose,
+    motion: se2.Pose,
+    walls: Floats,
+    known: list[int] | None,
+    covariance: Floats = WHEELS,
+) -> list[int]:
     """Add a keyframe that sees all walls, as new ones or as the `known` ids; return their ids.
+
+    The motion to it from the last keyframe has the covariance (3, 3).
 
     It also sees the corner between the first two walls, if there are two: each pass has one.
     """
@@ -56,7 +67,6 @@ def observe(mapper: Mapper, pose: se2.Pose, motion: se2.Pose, walls: Floats, kno
         named = {name: getattr(local, name) for name in local.__slots__}
         local = type(local)(**{**named, "walls": np.array(known), "corners": corner})
     association = RowAssociation(rows, np.zeros(len(walls)), rows, rows[:seen], np.zeros(seen), rows[:seen])
-    covariance = np.diag([0.05, 0.05, 0.03]) ** 2
     first = mapper.keyframe_count == 0
     step = None if first else KeyframeMotion(mapper.keyframe_count - 1, motion, covariance)
     view = mapper.add_keyframe(pose, step, segments, corners, association, local)
@@ -87,9 +97,10 @@ def drifted_mapper(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
     return mapper, first, second
 
 
-def mapper_of_two_parts(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
+def mapper_of_two_parts(drift: se2.Pose, covariance: Floats = WHEELS) -> tuple[Mapper, list[int], list[int]]:
     """Map the room in two parts of the map, the second one displaced by `drift` and with one wall mapped twice.
 
+    The motion between the parts has the covariance (3, 3).
     Returns the ids of the walls of both parts; the last one of the second part is the duplicate of its first one.
     """
     mapper = Mapper()
@@ -97,7 +108,7 @@ def mapper_of_two_parts(drift: se2.Pose) -> tuple[Mapper, list[int], list[int]]:
     observe(mapper, INSIDE, np.zeros(3), ROOM, first)
     mapper.begin_part(measured=True)
     moved = np.column_stack([se2.compose(drift, ROOM[:, :3]), ROOM[:, 3]])
-    second = observe(mapper, se2.compose(drift, INSIDE), np.zeros(3), moved, None)
+    second = observe(mapper, se2.compose(drift, INSIDE), np.zeros(3), moved, None, covariance)
     observe(mapper, mapper.pose, np.zeros(3), moved, second)
     again = observe(mapper, mapper.pose, np.zeros(3), moved[:1], None)
     observe(mapper, mapper.pose, np.zeros(3), moved[:1], again)
@@ -148,6 +159,18 @@ def test_walls_merged_just_before_a_join_stay_one_in_the_graph() -> None:
     np.testing.assert_allclose(mapper.pose, INSIDE, atol=0.01)
     assert mapper.landmarks.walls.rows["merged_into"][second[-1]] == first[0]
     assert_merged_walls_are_equal_in_the_graph(mapper)
+
+
+def test_a_part_is_joined_without_qr_although_odometry_hardly_connects_it() -> None:
+    """After a robot was carried far, odometry's motion is a million times as uncertain as what the scans show."""
+    drift = np.array([3.0, -1.0, 0.2])
+    mapper, _, _ = mapper_of_two_parts(drift, np.diag([1e4, 1e4, 3.0]) ** 2)
+    decision = replace(agreeing_decision(mapper, 4 * [np.zeros(3)]), correction=se2.inverse(drift), joins=True)
+    assert close_loop(mapper, decision).status is LoopStatus.ACCEPTED
+    assert not mapper.graph.solver.qr
+    np.testing.assert_allclose(mapper.pose, INSIDE, atol=0.01)
+    of_part = mapper.pose_covariances[mapper.landmarks.parts.firsts[-1] :]
+    np.testing.assert_array_equal(of_part, np.tile(of_part[-1], (len(of_part), 1, 1)))  # no drift within the part
 
 
 def test_a_corner_of_merged_walls_is_one_corner_of_the_map() -> None:
