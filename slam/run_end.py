@@ -89,13 +89,13 @@ def _refine_or_match(
     stamp = journal.scans[-1].stamp
     if state.mapper.keyframe_count < 2:
         return {}
-    ways = state.local_field.ways(state.mapper.travelled)
+    path_distances = state.local_field.path_distances(state.mapper.travelled)
     try:
         if not refined:
             known = journal.without_dispensable_features(history)  # the result must not depend on what is kept
-            state.trajectory = match_trajectory(state.mapper, known, state.odometry_model, ways)
+            state.trajectory = match_trajectory(state.mapper, known, state.odometry_model, path_distances)
             return {}
-        result = refine(state.mapper, history, state.odometry_model, ways)
+        result = refine(state.mapper, history, state.odometry_model, path_distances)
     except MapError as error:
         publisher.publish(Notice(stamp, f"the scans are not matched to the final map: {error}"))
         return {}

@@ -18,8 +18,8 @@ from ..matching.distance_field import DistanceField
 from ..matching.offset_tiles import FIELD_CELL
 from ..matching.scan_features import ScanFeatures
 from .field_successor import FieldSuccessor, FieldSuccessorState
-from .keyframe_ways import MAX_PATH, KeyframeWays
 from .match_target import points_of
+from .path_distances import MAX_PATH, PathDistances
 
 # Metres from the middle of the field at which its successor is begun. Origin: chosen, a small part of its half width;
 # not measured.
@@ -40,7 +40,7 @@ class LocalFieldState:
 
     centre          (2,) metres, middle of the field
     links           pairs of keyframes that saw the same place
-    gaps            metres by which the way to a keyframe counts as longer, by keyframe; see `LocalField.add`
+    gaps            metres by which the path to a keyframe counts as longer, by keyframe; see `LocalField.add`
     inserted        keyframes whose points are in the field, in the order in which they were inserted
     inserted_poses  (k, 3) at which they were inserted
     successor       state of the field that will take its place; None if there is none
@@ -135,23 +135,23 @@ class LocalField:
         undetermined  uncertainty of the motion from the keyframe before, relative to the largest one with which two
                       keyframes are in one field. It is 0 if scans determine the motion, and more, for example, in a
                       hall that is wider than the lidar's range. This share of MAX_PATH, at most all of it, is added to
-                      the way. Equation: docs/mathematics.md#distance-field
+                      the path. Equation: docs/mathematics.md#distance-field
         """
         if undetermined > 0.0:
             self._gaps[len(self._points)] = MAX_PATH * min(1.0, undetermined)
             self._may_have_far = True
         self._points.append(points_of(scan).astype(np.float32))
 
-    def ways(self, travelled: Sequence[float]) -> KeyframeWays:
-        """Return the ways between the keyframes, of which `travelled` has the metres driven up to each."""
-        return KeyframeWays.along(travelled[: len(self._points)], self._gaps, self._links)
+    def path_distances(self, travelled: Sequence[float]) -> PathDistances:
+        """Return the path distances between the keyframes, of which `travelled` has the metres driven up to each."""
+        return PathDistances.along(travelled[: len(self._points)], self._gaps, self._links)
 
     def recent(self, poses: Floats, travelled: Sequence[float]) -> DistanceField:
         """Return a distance field of the keyframes within REFERENCE_DISTANCE of the last one along the drive.
 
         It is valid up to the next call. For the arguments see `update`.
         """
-        keyframes = np.arange(self.ways(travelled).first_since(REFERENCE_DISTANCE), len(self._points))
+        keyframes = np.arange(self.path_distances(travelled).first_since(REFERENCE_DISTANCE), len(self._points))
         if self._recent is None or not self._recent.has(keyframes, poses[keyframes]):
             centre = poses[keyframes[-1]]
             field = DistanceField.empty(centre) if self._recent is None else self._recent.field.cleared(centre)
@@ -165,7 +165,7 @@ class LocalField:
         Takes effect with the next update. The places that the robot has come back to can be linked again, or recognised
         by a loop closure.
         """
-        self.unlink(range(self.ways(travelled).first_since(MAX_PATH), len(self._points)))
+        self.unlink(range(self.path_distances(travelled).first_since(MAX_PATH), len(self._points)))
 
     def is_undetermined(self, since: int, keyframe: int) -> bool:
         """Return True if scans do not determine the whole motion from one keyframe to a later one."""
@@ -214,7 +214,7 @@ class LocalField:
 
     def missing_around(self, keyframe: int, travelled: Sequence[float]) -> Integers:
         """Return the keyframes within REFERENCE_DISTANCE of one, along the drive, whose points are not in the field."""
-        around = self.ways(travelled).around(keyframe, REFERENCE_DISTANCE)
+        around = self.path_distances(travelled).around(keyframe, REFERENCE_DISTANCE)
         return around[~is_among(around, self._inserted)]
 
     def update(self, keyframe: int, poses: Floats, travelled: Sequence[float]) -> None:
@@ -231,7 +231,7 @@ class LocalField:
             self.field, self._inserted = self.field.cleared(poses[keyframe]), self._inserted[:0]
             self._may_lack_near, self._may_have_far, self._successor = True, False, None
         elif from_centre > MAX_CENTRE_DISTANCE and self._successor is None:
-            self._successor = FieldSuccessor.around(poses[keyframe], self.ways(travelled).near([keyframe]))
+            self._successor = FieldSuccessor.around(poses[keyframe], self.path_distances(travelled).near([keyframe]))
         new = self._new_keyframes(keyframe, travelled)
         self.field.insert_scans(poses[new], self.points_of(new))
         before = self._inserted_poses[: len(self._inserted)]
@@ -245,7 +245,7 @@ class LocalField:
         """Return the keyframes to be inserted: those added since the last update, and those near by new links."""
         if not self._may_lack_near:
             return np.arange(int(self._inserted.max(initial=-1)) + 1, len(self._points))
-        near, self._may_lack_near = self.ways(travelled).near([keyframe]), False
+        near, self._may_lack_near = self.path_distances(travelled).near([keyframe]), False
         return near[~is_among(near, self._inserted)]
 
     def _build_successor(self, successor: FieldSuccessor, poses: Floats) -> None:

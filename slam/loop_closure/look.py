@@ -59,7 +59,7 @@ class Look:
     ) -> None:
         self._mapper, self._field, self._submaps, self._among = mapper, local_field, submaps, among
         self._travelled = np.asarray(mapper.travelled)
-        self._ways = local_field.ways(mapper.travelled).driven
+        self._driven = local_field.path_distances(mapper.travelled).driven
         self.last = mapper.keyframe_count - 1 if keyframe is None else keyframe
         self.travelled = float(self._travelled[self.last])
         self.uncertainty = RelativeUncertainty(mapper, self.last, doubted=doubted)
@@ -97,7 +97,7 @@ class Look:
     def submap(self) -> Submap:
         """Submap that ends at the keyframe of the look, in its frame."""
         if self._submap is None:
-            recent = self._ways > self._ways[self.last] - SUBMAP_LENGTH
+            recent = self._driven > self._driven[self.last] - SUBMAP_LENGTH
             recent[self.last + 1 :] = False
             self._submap = submap_of(self._place(np.flatnonzero(recent), self.last), self._field)
         return self._submap
@@ -107,7 +107,7 @@ class Look:
         return self._submaps.get(old, self._place_around, self._field)
 
     def _place_around(self, old: int) -> OldPlace:
-        around = np.abs(self._ways - self._ways[old]) < SUBMAP_LENGTH
+        around = np.abs(self._driven - self._driven[old]) < SUBMAP_LENGTH
         around &= self._seen_before
         return self._place(np.flatnonzero(around), old)
 

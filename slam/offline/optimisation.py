@@ -53,7 +53,9 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     converge(slam_state.mapper)
     before, history = slam_state.mapper, session.scan_history()
     publisher.publish_map(float(history.stamps[0]), before, index=0)
-    refined = refine(before, history, slam_state.odometry_model, slam_state.local_field.ways(before.travelled))
+    refined = refine(
+        before, history, slam_state.odometry_model, slam_state.local_field.path_distances(before.travelled)
+    )
     keyframes = history.keyframe_scans
     refined.mapper.recompute_pose_covariances()
     last = session.scans[-1]

@@ -25,7 +25,7 @@ MAX_SEARCH_DISTANCE = 0.5 * MAX_SUBMAPS * SUBMAP_LENGTH  # Origin: as SEARCH_DIS
 class DriveScans:
     """Submaps of SUBMAP_LENGTH metres each, consecutive and without overlap; the last one may be shorter.
 
-    A submap is matched as a rigid body, so it also ends where a blind stretch cuts the way.
+    A submap is matched as a rigid body, so it also ends where a blind stretch cuts the path.
     """
 
     def __init__(self) -> None:
@@ -51,8 +51,8 @@ class DriveScans:
     def take(self, mapper: Mapper, local_field: LocalField, first: int) -> ScannedDrive:
         """Return the last submaps of the drive since a keyframe, to be searched for now."""
         self._searched = mapper.travelled[-1]
-        ways = local_field.ways(mapper.travelled).driven[first:]
-        number = np.floor((ways - ways[0]) / SUBMAP_LENGTH).astype(np.int64)
+        driven = local_field.path_distances(mapper.travelled).driven[first:]
+        number = np.floor((driven - driven[0]) / SUBMAP_LENGTH).astype(np.int64)
         starts = first + np.flatnonzero(np.diff(number, prepend=-1))
         ends = [*starts[1:].tolist(), mapper.keyframe_count]
         spans = [range(start, end) for start, end in zip(starts.tolist(), ends, strict=True)][-MAX_SUBMAPS:]

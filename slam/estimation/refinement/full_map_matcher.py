@@ -22,8 +22,8 @@ from drivers.immutable import immutable
 from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
-from ...localisation.keyframe_ways import KeyframeWays
 from ...localisation.match_target import MatchTarget
+from ...localisation.path_distances import PathDistances
 from ...localisation.slip_statistics import SlipStatistics
 from ...localisation.small_objects import SmallObjects
 from ...mapping.landmarks import Landmarks
@@ -82,7 +82,7 @@ class FullMapMatch:
 class FullMapMatcher:
     """Landmarks, and the points of keyframes at `poses` (k, 3), to which scans are matched.
 
-    ways            between the keyframes
+    path_distances  between the keyframes
     roughness       variance of the walls' roughness, square metres
     range_bias      metres, without which the landmarks were estimated
     model           of odometry's errors
@@ -94,7 +94,7 @@ class FullMapMatcher:
         history: ScanHistory,
         landmarks: Landmarks,
         poses: Floats,
-        ways: KeyframeWays,
+        path_distances: PathDistances,
         roughness: float,
         range_bias: float,
         model: OdometryModel,
@@ -110,7 +110,7 @@ class FullMapMatcher:
         self._range_bias = range_bias
         self._small_objects = SmallObjects()
         self._groups = landmarks.parts.groups_of(np.arange(len(poses)))
-        self._ways = ways
+        self._path_distances = path_distances
         self._passes = lru_cache(maxsize=None)(self._passes_through)
         self._tiles = self._tiles_of(history.own_keyframes)
         self._next_rows = _next_rows(self._tiles)
@@ -211,7 +211,7 @@ class FullMapMatcher:
         column, row, group = square
         distances = np.hypot(*(self._poses[:, :2] - TILE * np.array([column, row])).T)
         near = np.flatnonzero((distances < FIELD_RADIUS) & (self._groups == group))
-        return {k: int(linked[0]) for linked in self._ways.divide(near) for k in linked.tolist()}
+        return {k: int(linked[0]) for linked in self._path_distances.divide(near) for k in linked.tolist()}
 
     def _field(self, row: int) -> DistanceField:
         """Return the distance field for a scan."""

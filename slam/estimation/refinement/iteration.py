@@ -12,7 +12,7 @@ from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
 from ...graph.factors import Factor
-from ...localisation.keyframe_ways import KeyframeWays
+from ...localisation.path_distances import PathDistances
 from ...mapping.convergence import split_walls
 from ...mapping.data_association import associate
 from ...mapping.keyframes import KeyframeMotion, LandmarkIds
@@ -49,19 +49,19 @@ def refine_once(
     model: OdometryModel,
     matches: Sequence[Factor],
     poses: Floats,
-    ways: KeyframeWays,
+    path_distances: PathDistances,
     odometry_wrong: NDArray[np.bool_],
 ) -> IterationResult:
     """Associate the features of all keyframes with the landmarks of `old`, and solve in batch.
 
     matches         scan matches and loop factors, which stay as they are: they measure one keyframe relative to another
     poses           (k, 3) of the keyframes
-    ways            between the keyframes
+    path_distances  between the keyframes
     odometry_wrong  (n,) true for scans at which odometry is already known to be wrong
     """
     new = Mapper.with_landmarks_of(old)
     merged = merge_duplicate_walls(new.landmarks, old.graph, new.roughness.variance, new.landmarks.merge_walls)
-    matched, landmark_ids, newly_wrong = _associate(new, history, poses, ways, model, odometry_wrong)
+    matched, landmark_ids, newly_wrong = _associate(new, history, poses, path_distances, model, odometry_wrong)
     odometry_wrong = odometry_wrong | newly_wrong
     matched[0] = poses[0]  # defines the map's frame
     recount_observations(new.landmarks, history, landmark_ids, matched)
@@ -81,7 +81,7 @@ def _associate(
     mapper: Mapper,
     history: ScanHistory,
     poses: Floats,
-    ways: KeyframeWays,
+    path_distances: PathDistances,
     model: OdometryModel,
     known_wrong: NDArray[np.bool_],
 ) -> tuple[Floats, list[LandmarkIds], NDArray[np.bool_]]:
@@ -91,7 +91,7 @@ def _associate(
     """
     bias = mapper.graph.range_bias.metres
     matcher = FullMapMatcher(
-        history, mapper.landmarks, poses, ways, mapper.roughness.variance, bias, model, known_wrong
+        history, mapper.landmarks, poses, path_distances, mapper.roughness.variance, bias, model, known_wrong
     )
     scan_poses = history.scan_poses(poses)
     matched, landmark_ids, odometry_wrong = [], [], np.zeros(len(history), dtype=bool)

@@ -7,7 +7,7 @@ import numpy as np
 from drivers.immutable import immutable
 
 from ...geometry.segments import Floats
-from ...localisation.keyframe_ways import KeyframeWays
+from ...localisation.path_distances import PathDistances
 from ...mapping.convergence import settle_range_bias
 from ...mapping.mapper import Mapper
 from ...mapping.trajectory_builder import TrajectoryBuilder
@@ -40,21 +40,23 @@ class RefinementResult:
 
 
 def match_trajectory(
-    mapper: Mapper, history: ScanHistory, model: OdometryModel, ways: KeyframeWays
+    mapper: Mapper, history: ScanHistory, model: OdometryModel, path_distances: PathDistances
 ) -> TrajectoryBuilder:
     """Match every scan to the map and return the smoothed trajectory; the map does not change.
 
-    `ways` are those between the keyframes.
+    `path_distances` are those between the keyframes.
     """
     poses = mapper.keyframe_poses
-    scan_poses, _ = smooth_trajectory(mapper, history, model, poses, ways, ~history.measured)
+    scan_poses, _ = smooth_trajectory(mapper, history, model, poses, path_distances, ~history.measured)
     return history.trajectory(poses, scan_poses)
 
 
-def refine(mapper: Mapper, history: ScanHistory, model: OdometryModel, ways: KeyframeWays) -> RefinementResult:
+def refine(
+    mapper: Mapper, history: ScanHistory, model: OdometryModel, path_distances: PathDistances
+) -> RefinementResult:
     """Refine the map of a session. The mapper has converged; it is not modified.
 
-    `ways` are those between the keyframes.
+    `path_distances` are those between the keyframes.
     """
     initial, cost = mapper.graph.keyframe_poses(mapper.keyframe_count), mapper.graph.chi2()
     matches = mapper.graph.matches()
@@ -62,13 +64,13 @@ def refine(mapper: Mapper, history: ScanHistory, model: OdometryModel, ways: Key
     iterations = changed = merged = 0
     shift = np.inf
     while iterations < MAX_ITERATIONS and shift > CONVERGED_SHIFT:
-        result = refine_once(mapper, history, model, matches, poses, ways, odometry_wrong)
+        result = refine_once(mapper, history, model, matches, poses, path_distances, odometry_wrong)
         shift = float(np.max(np.hypot(*(result.poses - poses)[:, :2].T)))
         mapper, poses, odometry_wrong = result.mapper, result.poses, result.odometry_wrong
         iterations, changed, merged = iterations + 1, changed + result.changed, merged + result.merged
     settle_range_bias(mapper, correlate=True)
     poses = mapper.keyframe_poses
-    scan_poses, overlap_ratio = smooth_trajectory(mapper, history, model, poses, ways, odometry_wrong)
+    scan_poses, overlap_ratio = smooth_trajectory(mapper, history, model, poses, path_distances, odometry_wrong)
     moved = np.hypot(*(poses - initial)[:, :2].T)
     summary: dict[str, object] = {
         "iterations": iterations,

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ...geometry.segments import Floats
 from ...graph.chain import smooth_chain
-from ...localisation.keyframe_ways import KeyframeWays
+from ...localisation.path_distances import PathDistances
 from ...mapping.mapper import Mapper
 from ...matching.point_matcher import INDEPENDENT_SHARE
 from ...odometry.error_model import OdometryModel
@@ -21,20 +21,20 @@ def smooth_trajectory(
     history: ScanHistory,
     model: OdometryModel,
     poses: Floats,
-    ways: KeyframeWays,
+    path_distances: PathDistances,
     odometry_wrong: NDArray[np.bool_],
 ) -> tuple[Floats, Floats]:
     """Return the poses (n, 3) of all scans and their overlap ratios (n,).
 
     poses           (k, 3) of the keyframes
-    ways            between the keyframes
+    path_distances  between the keyframes
     odometry_wrong  (n,) true for scans at which odometry is known to be wrong
 
     A scan whose features were not stored keeps its pose, with the information of its online match.
     """
     bias = mapper.graph.range_bias.metres
     matcher = FullMapMatcher(
-        history, mapper.landmarks, poses, ways, mapper.roughness.variance, bias, model, odometry_wrong
+        history, mapper.landmarks, poses, path_distances, mapper.roughness.variance, bias, model, odometry_wrong
     )
     matched, odometry_wrong = history.scan_poses(poses), odometry_wrong.copy()
     informations = history.informations.copy()

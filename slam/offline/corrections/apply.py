@@ -72,7 +72,9 @@ def correct_session(session: StoredSession, path: Trajectory, corrections: Seque
         outcomes.append({"text": correction.text} | _apply(session, places, loops, correction, ties))
     converge(mapper)
     history = loops.history
-    state.trajectory = match_trajectory(mapper, history, state.odometry_model, state.local_field.ways(mapper.travelled))
+    state.trajectory = match_trajectory(
+        mapper, history, state.odometry_model, state.local_field.path_distances(mapper.travelled)
+    )
     mapper.recompute_pose_covariances()
     last = session.scan_history().scan_poses(mapper.keyframe_poses)[-1]
     fix = PoseFix(last, session.scans[-1].odometry)

@@ -19,8 +19,8 @@ from ...estimation.tracking_checkpoint import TrackingCheckpoint
 from ...geometry.nearest_pose import relative_to_nearest
 from ...geometry.segments import Floats
 from ...io.sessions import StoredSession
-from ...localisation.keyframe_ways import MAX_PATH
 from ...localisation.local_field import LocalFieldState
+from ...localisation.path_distances import MAX_PATH
 from ...loop_closure.closing import LOOP_FACTOR_COVARIANCE
 from ...loop_closure.loop_hypothesis import LoopAgreementState
 from ...mapping.convergence import converge

@@ -24,8 +24,8 @@ from slam.evaluation.metrics import score_reference
 from slam.events import EventRecorder, GraphInspected, MapUpdated
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.io.tum import Trajectory
-from slam.localisation.keyframe_ways import MAX_PATH, KeyframeWays
 from slam.localisation.match_target import MatchTarget, ScanMatch
+from slam.localisation.path_distances import MAX_PATH, PathDistances
 from slam.localisation.slip_statistics import SlipStatistics
 from slam.mapping.convergence import converge
 from slam.mapping.keyframes import KeyframeMotion, LandmarkIds
@@ -61,13 +61,13 @@ def error(stamps: np.ndarray, poses: np.ndarray, messages: Iterable[Message]) ->
 
 @dataclass
 class MappedSession:
-    """History of a session, its converged map, its odometry model, and the ways between its keyframes."""
+    """History of a session, its converged map, its odometry model, and the path distances between its keyframes."""
 
     mapper: Mapper
     history: ScanHistory
     odometry_model: OdometryModel
     messages: list[Message]
-    ways: KeyframeWays
+    path_distances: PathDistances
 
     @property
     def poses(self) -> np.ndarray:
@@ -90,8 +90,8 @@ def session() -> MappedSession:
     history = build_scan_history(
         scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes
     )
-    ways = slam_state.local_field.ways(slam_state.mapper.travelled)
-    return MappedSession(slam_state.mapper, history, slam_state.odometry_model, messages, ways)
+    path_distances = slam_state.local_field.path_distances(slam_state.mapper.travelled)
+    return MappedSession(slam_state.mapper, history, slam_state.odometry_model, messages, path_distances)
 
 
 def confirmed_walls(mapper: Mapper) -> np.ndarray:
@@ -124,7 +124,14 @@ def test_the_first_scan_is_held_by_odometry_to_the_second(
     """It was not matched while driving. Where a few points fit elsewhere too, it must not be searched there."""
     history, nowhere = session.history, np.zeros(len(session.history), dtype=bool)
     matcher = FullMapMatcher(
-        history, session.mapper.landmarks, session.poses, session.ways, 0.0, 0.0, session.odometry_model, nowhere
+        history,
+        session.mapper.landmarks,
+        session.poses,
+        session.path_distances,
+        0.0,
+        0.0,
+        session.odometry_model,
+        nowhere,
     )
     seen = predictions_of(monkeypatch)
     poses = history.scan_poses(session.poses)
@@ -146,7 +153,9 @@ def test_distance_fields_are_kept_for_later_laps(session: MappedSession, monkeyp
     history, landmarks, poses = session.history, session.mapper.landmarks, np.zeros_like(session.poses)
     keyframes, nowhere = np.arange(len(poses)), np.zeros(len(history), dtype=bool)
     poses[:, 0] = 100.0 * (keyframes // 2 % 2)  # in each of two rooms, one with an even and one with an odd number
-    matcher = FullMapMatcher(history, landmarks, poses, session.ways, 0.0, 0.0, session.odometry_model, nowhere)
+    matcher = FullMapMatcher(
+        history, landmarks, poses, session.path_distances, 0.0, 0.0, session.odometry_model, nowhere
+    )
     placed = history.scan_poses(poses)
     for row in range(len(history)):
         matcher.match(row, placed, matcher.local_map(row, placed[row]))
@@ -182,7 +191,7 @@ def test_an_even_motion_costs_as_much_as_a_slip(
     wrong[row], middle = known_wrong, poses[row].copy()
     poses[row] = se2.compose(middle, np.array([0.5, 0.0, 0.0]))  # away from the motion between its neighbours
     matcher = FullMapMatcher(
-        history, mapper.landmarks, session.poses, session.ways, 0.0, 0.0, session.odometry_model, wrong
+        history, mapper.landmarks, session.poses, session.path_distances, 0.0, 0.0, session.odometry_model, wrong
     )
     seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
@@ -204,7 +213,9 @@ def test_a_scan_between_tracked_neighbours_is_searched_near_the_even_motion(
     wrong, poses = np.zeros(len(history), dtype=bool), history.scan_poses(session.poses)
     poses[row] = se2.compose(poses[row], np.array([0.0, 0.0, 2.0]))
     landmarks = session.mapper.landmarks
-    matcher = FullMapMatcher(history, landmarks, session.poses, session.ways, 0.0, 0.0, session.odometry_model, wrong)
+    matcher = FullMapMatcher(
+        history, landmarks, session.poses, session.path_distances, 0.0, 0.0, session.odometry_model, wrong
+    )
     seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
     sigmas = np.sqrt(np.diag(np.linalg.inv(seen[1].information)))
@@ -213,7 +224,7 @@ def test_a_scan_between_tracked_neighbours_is_searched_near_the_even_motion(
 
 
 def test_correct_map_stays_correct(session: MappedSession) -> None:
-    refined = refine(session.mapper, session.history, session.odometry_model, session.ways)
+    refined = refine(session.mapper, session.history, session.odometry_model, session.path_distances)
     before = error(session.history.stamps, session.history.scan_poses(session.poses), session.messages)
     assert error(session.history.stamps, refined.poses, session.messages) < before + 2e-4
     assert abs(len(confirmed_walls(refined.mapper)) - len(confirmed_walls(session.mapper))) <= 2
@@ -254,7 +265,7 @@ def duplicate_wall(session: MappedSession) -> Mapper:
 
 def test_duplicate_walls_are_merged(session: MappedSession) -> None:
     corrupted = duplicate_wall(session)
-    refined = refine(corrupted, session.history, session.odometry_model, session.ways)
+    refined = refine(corrupted, session.history, session.odometry_model, session.path_distances)
     assert len(confirmed_walls(refined.mapper)) < len(confirmed_walls(corrupted))
     assert refined.summary["walls_merged"] >= 1
     before = error(session.history.stamps, session.history.scan_poses(session.poses), session.messages)
@@ -275,8 +286,10 @@ def test_wrong_initial_pose_of_a_scan_is_corrected(session: MappedSession) -> No
     row = int(history.keyframes[len(history.keyframes) // 2]) + 1
     relative = history.relative.copy()
     relative[row] = se2.compose(relative[row], [0.08, -0.05, 0.03])
-    refined = refine(session.mapper, replace(history, relative=relative), session.odometry_model, session.ways)
-    expected = refine(session.mapper, history, session.odometry_model, session.ways)
+    refined = refine(
+        session.mapper, replace(history, relative=relative), session.odometry_model, session.path_distances
+    )
+    expected = refine(session.mapper, history, session.odometry_model, session.path_distances)
     assert np.abs(refined.poses[row] - expected.poses[row]).max() < 0.003
 
 
@@ -321,9 +334,9 @@ def drive_through_clutter() -> tuple[Mapper, ScanHistory, np.ndarray]:
     return mapper, history, true
 
 
-def passes_of(count: int, links: Sequence[tuple[int, int]] = ()) -> KeyframeWays:
-    """Return the ways of two passes of half of the keyframes each, far apart along the drive."""
-    return KeyframeWays.along([STEP * k for k in range(count)], {count // 2: MAX_PATH}, links)
+def passes_of(count: int, links: Sequence[tuple[int, int]] = ()) -> PathDistances:
+    """Return the path distances of two passes of half of the keyframes each, far apart along the drive."""
+    return PathDistances.along([STEP * k for k in range(count)], {count // 2: MAX_PATH}, links)
 
 
 @pytest.mark.parametrize("linked", [False, True])
@@ -336,10 +349,10 @@ def test_only_linked_passes_count_as_one_map(linked: bool) -> None:
     own = np.maximum(np.searchsorted(keyframes, np.arange(2 * count), side="right") - 1, 0)
     relative = se2.between(true[keyframes[own]], true)
     history = replace(history, keyframes=keyframes, own_keyframes=own, relative=relative)
-    ways = passes_of(len(keyframes), [(1, count)] if linked else [])
-    ways = replace(ways, driven=STEP * keyframes + MAX_PATH * (keyframes >= count))
+    path_distances = passes_of(len(keyframes), [(1, count)] if linked else [])
+    path_distances = replace(path_distances, driven=STEP * keyframes + MAX_PATH * (keyframes >= count))
     nowhere, model = np.zeros(2 * count, dtype=bool), OdometryModel(OdometryConfig())
-    matcher = FullMapMatcher(history, mapper.landmarks, poses, ways, 0.0, 0.0, model, nowhere)
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, path_distances, 0.0, 0.0, model, nowhere)
     placed = history.scan_poses(poses)
     moved = np.zeros(2 * count)
     for row in range(count, 2 * count):

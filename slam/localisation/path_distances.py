@@ -1,4 +1,4 @@
-"""Ways between keyframes, along the drive and along links: the relative pose of those near on them is well known."""
+"""Path distances between keyframes, along the drive and along links: over short ones, relative poses are well known."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ ROUNDING = 1e-9
 
 
 @immutable
-class KeyframeWays:
-    """Ways between k keyframes.
+class PathDistances:
+    """Path distances between k keyframes: the lengths of the shortest paths along the drive and along links.
 
-    driven  (k,) metres driven up to each, with what is undetermined of the way
+    driven  (k,) metres driven up to each, with what is undetermined of the motion
     links   (l, 2) pairs that saw the same place
     """
 
@@ -33,11 +33,11 @@ class KeyframeWays:
     @classmethod
     def along(
         cls, travelled: Sequence[float], gaps: Mapping[int, float], links: Sequence[tuple[int, int]]
-    ) -> KeyframeWays:
-        """Return the ways of keyframes.
+    ) -> PathDistances:
+        """Return the path distances between keyframes.
 
         travelled  metres driven up to each keyframe
-        gaps       metres by which the way to a keyframe counts as longer, by keyframe
+        gaps       metres by which the path to a keyframe counts as longer, by keyframe
         links      pairs of keyframes that saw the same place
         """
         longer = np.zeros(len(travelled))
@@ -61,7 +61,7 @@ class KeyframeWays:
         return np.flatnonzero(distance < MAX_PATH)
 
     def divide(self, keyframes: Integers | Sequence[int]) -> list[Integers]:
-        """Divide keyframes, in ascending order, into groups between which no way is shorter than MAX_PATH.
+        """Divide keyframes, in ascending order, into groups between which no path is shorter than MAX_PATH.
 
         Each group is in ascending order, and so are the first keyframes of the groups.
         """

@@ -6,27 +6,29 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 
-from slam.localisation.keyframe_ways import MAX_PATH, KeyframeWays
+from slam.localisation.path_distances import MAX_PATH, PathDistances
 
 STEP = 0.5  # metres between keyframes
 
 
-def ways(count: int, links: Sequence[tuple[int, int]] = (), gaps: Mapping[int, float] | None = None) -> KeyframeWays:
-    """Return the ways of an even drive."""
-    return KeyframeWays.along([STEP * k for k in range(count)], gaps or {}, links)
+def path_distances(
+    count: int, links: Sequence[tuple[int, int]] = (), gaps: Mapping[int, float] | None = None
+) -> PathDistances:
+    """Return the path distances of an even drive."""
+    return PathDistances.along([STEP * k for k in range(count)], gaps or {}, links)
 
 
 def test_keyframes_are_near_along_the_drive_and_links() -> None:
-    assert ways(200).near([100]).tolist() == list(range(61, 140))
-    near = set(ways(200, [(20, 100)]).near([100]).tolist())
+    assert path_distances(200).near([100]).tolist() == list(range(61, 140))
+    near = set(path_distances(200, [(20, 100)]).near([100]).tolist())
     assert near == {*range(61, 140), *range(60)}
-    assert set(ways(200).near([0, 199]).tolist()) == {*range(40), *range(160, 200)}
+    assert set(path_distances(200).near([0, 199]).tolist()) == {*range(40), *range(160, 200)}
 
 
 def test_what_is_undetermined_of_the_drive_counts_as_a_longer_way() -> None:
-    assert ways(200, gaps={120: MAX_PATH}).near([100]).tolist() == list(range(61, 120))
-    assert ways(200, gaps={120: 0.5 * MAX_PATH}).near([100]).tolist() == list(range(61, 120))
-    assert ways(200, gaps={110: 0.5 * MAX_PATH}).near([100]).tolist() == list(range(61, 120))
+    assert path_distances(200, gaps={120: MAX_PATH}).near([100]).tolist() == list(range(61, 120))
+    assert path_distances(200, gaps={120: 0.5 * MAX_PATH}).near([100]).tolist() == list(range(61, 120))
+    assert path_distances(200, gaps={110: 0.5 * MAX_PATH}).near([100]).tolist() == list(range(61, 120))
 
 
 @pytest.mark.parametrize(
@@ -44,9 +46,9 @@ def test_passes_through_a_place_are_apart_unless_links_join_them(
     links: Sequence[tuple[int, int]], groups: list[list[int]]
 ) -> None:
     passes = [0, 1, 2, 100, 101, 190]
-    assert [group.tolist() for group in ways(200, links).divide(passes)] == groups
+    assert [group.tolist() for group in path_distances(200, links).divide(passes)] == groups
 
 
 def test_keyframes_of_one_pass_are_together_and_none_divide_into_nothing() -> None:
-    assert [group.tolist() for group in ways(200).divide([10, 49, 88])] == [[10, 49, 88]]
-    assert ways(200).divide([]) == []
+    assert [group.tolist() for group in path_distances(200).divide([10, 49, 88])] == [[10, 49, 88]]
+    assert path_distances(200).divide([]) == []
