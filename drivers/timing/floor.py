@@ -189,6 +189,7 @@ def watched(messages: Iterable[Message], report: SourceReport, range_max: float)
 def warm_up() -> None:
     """Compile the functions of the detector, or load them from the cache."""
     angles = np.arange(-math.pi, math.pi, 2.0 * math.pi / BINS)
+    angles.flags.writeable = False  # as of scans from recordings, for which functions are compiled
     detector, scan = FloorDetector(), Scan(0.0, np.ones(BINS), angles, np.zeros(BINS), 0.0, np.inf)
     for heading in (0.0, 2.0 * MIN_TURN):
         detector.add(Odometry(0.0, np.array([0.0, 0.0, heading])))

@@ -22,8 +22,10 @@ from slam.io.sessions import read_session, write_session
 from tests.slam.estimation.test_map_parts import elsewhere
 
 def compiled():
+    gc.unfreeze()  # a command has frozen what it has loaded
     ours = [d for d in gc.get_objects() if isinstance(d, CPUDispatcher)
-            and d.py_func.__module__.split(".")[0] in ("slam", "features")]
+            and d.py_func.__module__.split(".")[0] in ("slam", "features", "drivers")
+            and not d.py_func.__module__.startswith("drivers.simulation")]
     return {(d.py_func.__module__, d.py_func.__name__, str(signature)) for d in ours for signature in d.signatures}
 """
 
@@ -55,6 +57,31 @@ def test_nothing_is_compiled_after_the_warm_up(tmp_path: Path) -> None:
     answer = subprocess.run(command, capture_output=True, text=True, timeout=250)
     assert answer.stderr == ""
     assert answer.stdout == "True [] [] []\n"
+
+
+COMMAND = """
+from slam.cli import main
+from slam.warmup import compile_estimation, compile_preprocessing
+from tests.drivers.timing.test_beam_order import carmen_log
+
+directory = Path(sys.argv[1])
+log = carmen_log(directory / "office.clf", Simulation("office", seed=3, duration=20.0))
+compile_preprocessing()
+compile_estimation()
+slam.warm_up()
+before = compiled()
+sys.argv = ["wclm", "run", str(log), "--out", str(directory / "map")]
+try:
+    main()
+finally:  # it exits
+    print(sorted(compiled() - before))
+"""
+
+
+def test_nothing_is_compiled_to_map_a_recording_with_a_review_log(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", COMPILED + COMMAND, str(tmp_path)]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=250)
+    assert answer.stdout.splitlines()[-1] == "[]", answer.stderr
 
 
 PARTS = """

@@ -170,7 +170,8 @@ class OccupancyGrid:
         self._changed[:] = False
         if not self._reached.any():
             raise MapError("no beam of any scan hit anything, so there is nothing to draw")
-        tiles = np.argwhere((self._slots >= 0) & self._reached[self._slots])
+        # contiguous: argwhere returns a transposed array, for which the kernel would be compiled again
+        tiles = np.ascontiguousarray(np.argwhere((self._slots >= 0) & self._reached[self._slots]))
         rows, columns = self._extent(tiles, 0), self._extent(tiles, 1)
         cells = np.full((rows.stop - rows.start, columns.stop - columns.start), UNKNOWN, dtype=np.int8)
         copy_tiles(self._cells, self._slots, tiles, rows.start, columns.start, cells)
