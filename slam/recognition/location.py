@@ -241,8 +241,8 @@ class _Comparison:
             share = f"{percent(fits.fit[fits.known].mean())} of the {fits.known.sum()} cells"
         place = f"at its best place, {self._motion(self._best)}"
         if self.mapped < self.least_mapped and location.evidence >= location.required:
-            least = percent(self.least_mapped)
-            return f"{place}, only {percent(self.mapped)} of what it shows are mapped (requires {least}): {numbers}"
+            least = "requires " + percent(self.least_mapped) if self.least_mapped <= 1.0 else "no share suffices there"
+            return f"{place}, only {percent(self.mapped)} of what it shows are mapped ({least}): {numbers}"
         if location.evidence >= location.required:
             return f"{place}, {share} fit, but no submap alone fits and has a certain position: {numbers}"
         return f"{place}, {share} fit, as they may where it only looks alike: {numbers}"
