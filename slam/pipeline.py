@@ -313,6 +313,7 @@ class Slam:
             raise MapError("no laser scan, so there is nothing to map")
         if not self._has_odometry:
             raise MapError(f"{self._preprocessor.scans} scans, but no odometry; add --no-odometry to map without")
+        self._close_last_loop()
         session = self._session_with_queue()
         self._process_queue()
         add_second_look(self.slam_state)
@@ -324,6 +325,14 @@ class Slam:
         if self._refine:
             self._session = self._stored.at_end(state)
         return publish_run(state, self._journal, self._publisher, summary, after=self._results_after)
+
+    def _close_last_loop(self) -> None:
+        """Close the loop at the end of the drive, if there is one: no further scan will confirm it."""
+        closed = self._estimator.close_last_loop()
+        if closed is not None:
+            decision, superseded = closed
+            stamp = self.slam_state.keyframe_stamps[decision.keyframe]
+            self._report.add_loop(decision, stamp, self.slam_state.mapper, superseded)
 
     def _settle(self, session: StoredSession) -> dict[str, object]:
         """Settle the map and the trajectory; return the summary. `session` gets the decisions that this leads to."""

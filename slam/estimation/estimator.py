@@ -23,7 +23,7 @@ from ..preprocessing.preprocessor import ProcessedScan
 from ..recognition.location import LOST, Expectation
 from .closure_monitor import ClosureMonitor
 from .earlier_part import EarlierPart
-from .loop_update import close_loop
+from .loop_update import close_loop, search_last_loop
 from .placing import place, relocalise
 from .plan_update import update_by_plan
 from .scan_update import KeyframeUpdate, track, update_map
@@ -212,6 +212,26 @@ class Estimator:
         self._monitor.add(self.state, decision)
         self.state = trial
         return replace(update, loop=decision, superseded=superseded)
+
+    def close_last_loop(self) -> tuple[LoopDecision, Mapper] | None:
+        """Close the loop at the end of a run that no further look can confirm, if the evidence for it suffices.
+
+        Returns the decision and the map before it. None if there is no such loop, or if the map is not extended.
+        """
+        if self._frozen_state is not None or self.state.frozen or not self.state.mapper.keyframe_count:
+            return None
+        self.state.mapper.solve_waiting()
+        decision = search_last_loop(self.state)
+        if decision is None:
+            return None
+        trial, superseded = self.state.copy(), self.state.mapper
+        decision = close_loop(trial, None, decision)
+        if decision.status is not LoopStatus.ACCEPTED:
+            self.state.loops.note_rejection(decision)
+            return None
+        self._monitor.add(self.state, decision)
+        self.state = trial
+        return decision, superseded
 
     def _retract_contradicted_closure(self) -> LoopDecision | None:
         """Undo a closure that later scans contradict: return to its checkpoint and process the scans since again."""

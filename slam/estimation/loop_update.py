@@ -18,11 +18,16 @@ def search_loop(state: SlamState) -> LoopDecision | None:
     return decision or _search_join(state)
 
 
-def _search_connected(state: SlamState) -> LoopDecision | None:
-    """Return the decision to close a loop in the connected part of the map, if there is one."""
+def search_last_loop(state: SlamState) -> LoopDecision | None:
+    """Return the decision to close a loop at the end of a run, if there is one."""
+    return _search_connected(state, ended=True) if state.config.loop_closure.enabled else None
+
+
+def _search_connected(state: SlamState, *, ended: bool = False) -> LoopDecision | None:
+    """Return the decision to close a loop in the connected part of the map, if there is one; `ended` if the run has."""
     mapper, field = state.mapper, state.local_field
     among = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count))
-    decision = state.loops.search(mapper, field, among)
+    decision = state.loops.search(mapper, field, among, ended=ended)
     if state.loops.correction_likely:
         mapper.free_space_evidence.suspend(mapper.travelled[-1])
     if decision is None:
@@ -44,8 +49,10 @@ def _search_join(state: SlamState) -> LoopDecision | None:
     return None if decision is None else state.loops.number(decision)
 
 
-def close_loop(state: SlamState, observations: KeyframeObservations, decision: LoopDecision) -> LoopDecision:
-    """Close a confirmed loop right after the keyframe of `observations`; returns the final decision.
+def close_loop(state: SlamState, observations: KeyframeObservations | None, decision: LoopDecision) -> LoopDecision:
+    """Close a confirmed loop right after the last keyframe; returns the final decision.
+
+    observations  of the last keyframe; None at the end of a run, where no local map is needed any more
 
     If that is a rejection, the map does not fit together and the state must be discarded: try it on a copy.
     """

@@ -167,15 +167,25 @@ class LoopAgreement:
         self._retracted.append(motion)
 
     def search(
-        self, mapper: Mapper, local_field: LocalField, among: NDArray[np.bool_] | None = None
+        self, mapper: Mapper, local_field: LocalField, among: NDArray[np.bool_] | None = None, *, ended: bool = False
     ) -> LoopDecision | None:
         """Look for the last keyframe's place in old parts of the map; return a closure that looks agree on, if any.
 
         among  (k,) keyframes whose places are searched; None for all
+        ended  true at the end of a run: no look will follow, so the closure that most looks support is returned, be
+               they few, for the evidence of the drive to decide on
         """
         now = float(mapper.travelled[mapper.keyframe_count - 1])
-        if now - self._last_search < SEARCH_INTERVAL:
-            return None
+        is_due = now > self._last_search if ended else now - self._last_search >= SEARCH_INTERVAL
+        decision = self._look(now, mapper, local_field, among) if is_due else None
+        if decision is None and ended:
+            decision = self._best(Look(mapper, local_field, self._submaps, among, apart=self._joins))
+        return None if decision is None else self.number(decision)
+
+    def _look(
+        self, now: float, mapper: Mapper, local_field: LocalField, among: NDArray[np.bool_] | None
+    ) -> LoopDecision | None:
+        """Look at old places, `now` metres driven; return a closure that looks agree on, if any."""
         self._last_search = now
         self._hypotheses.expire(now)
         self._returned_at = [at for at in self._returned_at if now - at < MEMORY]
@@ -198,7 +208,7 @@ class LoopAgreement:
         if decision is None or self._is_excluded(look, decision.correction):
             self._note_rejections(look)
             return None
-        return self.number(decision)
+        return decision
 
     def _is_excluded(self, look: Look, motion: se2.Pose) -> bool:
         """Return True if a motion in the map is that of a retracted closure."""
@@ -296,6 +306,11 @@ class LoopAgreement:
         if decision is None and not self._joins and self._is_estimate_in_doubt(look):
             decision = self._judgement(look.doubting_estimate()).accepted()
         return decision
+
+    def _best(self, look: Look) -> LoopDecision | None:
+        """Return the closure that most looks support at the end of a run."""
+        decision = self._judgement(look).best()
+        return None if decision is None or self._is_excluded(look, decision.correction) else decision
 
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""

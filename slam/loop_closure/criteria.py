@@ -55,7 +55,9 @@ def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
     return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))
 
 
-def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, joins: bool) -> tuple[Check, ...]:
+def support_checks(
+    hypothesis: LoopHypothesis, look: Look, against: int, *, joins: bool, ended: bool = False
+) -> tuple[Check, ...]:
     """Check that enough looks support a hypothesis, and that the uncertainty admits it if it leads elsewhere.
 
     Where the robot is, there may be another place that looks like the old one and is not mapped yet. It is mapped, and
@@ -66,15 +68,17 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, join
 
     Furniture that was moved may look like another place in all looks that show it. So the looks must extend over the
     length of a submap as well if the hypothesis leads to another place, if the estimate is in doubt, or if parts of the
-    map are joined, for which there is no estimate.
+    map are joined, for which there is no estimate. At the end of a drive no look can follow, and only the evidence of
+    the drive tells the two apart.
 
     look     the last one
     against  number of looks that contradict the hypothesis
     joins    true if it would join parts of the map
+    ended    true at the end of the drive
     """
     count, first, old = len(hypothesis.support), hypothesis.support[0], hypothesis.support[-1].old
     elsewhere = joins or look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
-    least, shortest = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere else (MIN_SUPPORT, 0.0)
+    least, shortest = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere and not ended else (MIN_SUPPORT, 0.0)
     span = max(shortest, NORMAL_LIMIT * look.deviation_at(first) - look.distance_shown_before(first))
     checks = [
         Check("support", count, least, at_least=True),

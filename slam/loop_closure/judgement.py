@@ -40,6 +40,20 @@ class Judgement:
                 return self._decide(consistent, rivals, checks)
         return None
 
+    def best(self) -> LoopDecision | None:
+        """Return the closure that most looks support at the end of a drive, be they few, for its evidence to decide on.
+
+        The last look has to support it.
+        """
+        best, most = None, 0
+        for hypothesis in self.hypotheses:
+            consistent = replace(hypothesis, support=self.look.consistent(hypothesis.support))
+            checks = self._checks(consistent, ended=True)
+            is_last = hypothesis.support[-1].keyframe == self.look.last
+            if is_last and len(consistent.support) > most and all(check.passed for check in checks):
+                best, most = self._decide(consistent, self._rivals(hypothesis), checks), len(consistent.support)
+        return best
+
     def decision(self, hypothesis: LoopHypothesis) -> tuple[LoopDecision, int]:
         """Return the decision for a hypothesis, and the number of rivals over which it does not prevail."""
         rivals = self._rivals(hypothesis)
@@ -57,11 +71,11 @@ class Judgement:
             checks = self._checks(hypothesis)
         return hypothesis, checks
 
-    def _checks(self, hypothesis: LoopHypothesis) -> tuple[Check, ...]:
+    def _checks(self, hypothesis: LoopHypothesis, *, ended: bool = False) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
         first = hypothesis.support[0].travelled
         against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returned_at))
-        return support_checks(hypothesis, self.look, against, joins=self.joins)
+        return support_checks(hypothesis, self.look, against, joins=self.joins, ended=ended)
 
     def _decide(
         self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], checks: tuple[Check, ...]

@@ -178,7 +178,7 @@ class Publisher:
                 self.publish_residuals(stamp, mapper)
 
     def publish_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper) -> None:
-        """Publish a retracted closure, and the map without it."""
+        """Publish a retracted closure, or one at the end of a run, and the map; `superseded` is the one before."""
         if self._is_received(LoopDecided):
             self.publish(loop_event(decision, stamp, mapper, superseded))
         self.publish_map(stamp, mapper)

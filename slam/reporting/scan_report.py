@@ -6,6 +6,8 @@ from ..estimation.estimator import ScanResult
 from ..estimation.slam_state import SlamState
 from ..estimation.stage_timer import StageTimer
 from ..events import Notice
+from ..loop_closure.decision import LoopDecision
+from ..mapping.mapper import Mapper
 from ..odometry.velocity import VelocityFilter
 from ..preprocessing.preprocessor import ProcessedScan
 from .publisher import Publisher
@@ -46,8 +48,15 @@ class ScanReport:
             publisher.publish(Notice(scan.stamp, "recognised in the plan", "INFO"))
             publisher.publish_map(scan.stamp, mapper)
         if result.retracted is not None:
-            statistics.add_loop(scan.stamp, result.retracted)
-            publisher.publish_loop(result.retracted, scan.stamp, mapper, result.mapper)
+            self.add_loop(result.retracted, scan.stamp, mapper, result.mapper)
+
+    def add_loop(self, decision: LoopDecision, stamp: float, mapper: Mapper, superseded: Mapper) -> None:
+        """Report a loop that was retracted, or closed after the last scan, at a stamp (seconds).
+
+        superseded  map before
+        """
+        self._statistics.add_loop(stamp, decision)
+        self._publisher.publish_loop(decision, stamp, mapper, superseded)
 
     def add_rejected_loops(self, state: SlamState, stamp: float, *, ended: bool = False) -> None:
         """Report the hypotheses of loops and joins that were given up; if the run has `ended`, also all others.

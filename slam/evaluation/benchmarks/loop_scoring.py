@@ -17,10 +17,8 @@ from ...events import (
     LoopDecided,
     MapUpdated,
     Relocalised,
-    ScanTracked,
     WallsMerged,
 )
-from ...loop_closure.loop_status import LoopStatus
 from ...mapping.map_features import MapWalls
 from ..ground_truth import match_walls, true_walls
 from ..metrics import align, motion_errors
@@ -59,11 +57,10 @@ class LoopScorer:
     relocalisation_errors  metres, of each relocalisation relative to the nearest keyframe from before the loss
     """
 
-    handled = (ScanTracked, KeyframeAdded, MapUpdated, WallsMerged, LoopDecided, Relocalised)
+    handled = (KeyframeAdded, MapUpdated, WallsMerged, LoopDecided, Relocalised)
 
     def __init__(self, simulation: Simulation) -> None:
         self._trajectory, self._walls = simulation.trajectory, true_walls(simulation.world, np.zeros(3))
-        self._tracked = np.zeros(3)  # last estimated pose before a loop closure moves it
         # By keyframe index, of those published; not of those that were processed again.
         self._estimate: dict[int, se2.Pose] = {}
         self._truth: dict[int, se2.Pose] = {}
@@ -77,8 +74,6 @@ class LoopScorer:
     def handle(self, event: Event) -> None:
         """Process one event."""
         match event:
-            case ScanTracked():
-                self._tracked = event.pose
             case KeyframeAdded():
                 self._add_keyframe(event)
             case MapUpdated():
@@ -116,9 +111,8 @@ class LoopScorer:
     def _score_decision(self, event: LoopDecided) -> None:
         for old, recent in event.merged:
             self._merged_into[recent] = old
-        # A rejection is published when the robot has gone on.
-        rejected = event.status == LoopStatus.REJECTED
-        there = se2.compose(self._estimate[event.index] if rejected else self._tracked, event.motion)
+        before = self._estimate if event.correction is None else event.correction.keyframes_before
+        there = se2.compose(before[event.index], event.motion)
         error, angle_error = self._motion_error(event.old, event.index, there)
         self.decisions.append(ScoredDecision(event.index, event.status, event.reason, error, angle_error))
 
