@@ -216,22 +216,23 @@ class Estimator:
     def close_last_loop(self) -> tuple[LoopDecision, Mapper] | None:
         """Close the loop at the end of a run that no further look can confirm, if the evidence for it suffices.
 
-        Returns the decision and the map before it. None if there is no such loop, or if the map is not extended.
+        Returns the decision and the map before it. None if there is no such loop, or if the map is not extended: the
+        state is unchanged then, so that a run which continues the session is as one that has not been interrupted.
         """
         if self._frozen_state is not None or self.state.frozen or not self.state.mapper.keyframe_count:
             return None
-        self.state.mapper.solve_waiting()
-        decision = search_last_loop(self.state)
+        before = self.state.copy()
+        before.mapper.solve_waiting()
+        decision = search_last_loop(before)
         if decision is None:
             return None
-        trial, superseded = self.state.copy(), self.state.mapper
-        decision = close_loop(trial, None, decision)
+        closed = before.copy()
+        decision = close_loop(closed, None, decision)
         if decision.status is not LoopStatus.ACCEPTED:
-            self.state.loops.note_rejection(decision)
             return None
-        self._monitor.add(self.state, decision)
-        self.state = trial
-        return decision, superseded
+        self._monitor.add(before, decision)
+        self.state = closed
+        return decision, before.mapper
 
     def _retract_contradicted_closure(self) -> LoopDecision | None:
         """Undo a closure that later scans contradict: return to its checkpoint and process the scans since again."""

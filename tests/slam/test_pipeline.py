@@ -351,7 +351,7 @@ def test_map_and_pose_can_be_read_while_driving(drive: list[Message]) -> None:
 class ForbiddenSearch(LoopAgreement):
     """Loop search that must not be used."""
 
-    def search(self, mapper: Mapper, local_field: LocalField, among: object = None) -> NoReturn:
+    def search(self, mapper: Mapper, local_field: LocalField, among: object = None, *, ended: bool = False) -> NoReturn:
         raise AssertionError("searched for a loop")
 
 
