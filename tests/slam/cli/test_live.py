@@ -39,8 +39,8 @@ from ..robot import SLOW_LIDAR, LiveRun, Robot, wait_for
 
 pytestmark = pytest.mark.shared_run
 
-DURATION = 4.5
-"""Duration of the live run, seconds."""
+DURATION = 6.0
+"""Duration of the live run, seconds: long enough to see more than 20 walls, also if the viewers start at once."""
 FIRST_KEYFRAMES = 3
 """Number of keyframes that the first viewer must exceed."""
 
