@@ -69,7 +69,7 @@ def support_checks(
     Furniture that was moved may look like another place in all looks that show it. So the looks must extend over the
     length of a submap as well if the hypothesis leads to another place, if the estimate is in doubt, or if parts of the
     map are joined, for which there is no estimate. At the end of a drive no look can follow, and only the evidence of
-    the drive tells the two apart.
+    the drive tells that furniture from a place.
 
     look     the last one
     against  number of looks that contradict the hypothesis

@@ -43,15 +43,16 @@ class Judgement:
     def best(self) -> LoopDecision | None:
         """Return the closure that most looks support at the end of a drive, be they few, for its evidence to decide on.
 
-        The last look has to support it.
+        The last look has to support it, and it has to prevail over its rivals, as while the robot drives on.
         """
         best, most = None, 0
         for hypothesis in self.hypotheses:
             consistent = replace(hypothesis, support=self.look.consistent(hypothesis.support))
+            rivals = self._rivals(hypothesis)
             checks = self._checks(consistent, ended=True)
-            is_last = hypothesis.support[-1].keyframe == self.look.last
-            if is_last and len(consistent.support) > most and all(check.passed for check in checks):
-                best, most = self._decide(consistent, self._rivals(hypothesis), checks), len(consistent.support)
+            possible = hypothesis.support[-1].keyframe == self.look.last and all(check.passed for check in checks)
+            if possible and len(consistent.support) > most and all(prevails(consistent, rival) for rival in rivals):
+                best, most = self._decide(consistent, rivals, checks), len(consistent.support)
         return best
 
     def decision(self, hypothesis: LoopHypothesis) -> tuple[LoopDecision, int]:

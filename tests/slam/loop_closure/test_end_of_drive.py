@@ -18,13 +18,11 @@ from slam.loop_closure.loop_status import LoopStatus
 
 from ..simulated_worlds import limit_drives
 
-RETURNED = 135.0  # seconds after the begin of the drive, some metres after the return
 
-
-def drive_round_the_square(seed: int, duration: float) -> tuple[Slam, Finished, float, list[LoopDecided]]:
+def drive_round(world: str, seed: int, duration: float) -> tuple[Slam, Finished, float, list[LoopDecided]]:
     """Return the run of a drive, its results, the error (metres) of its end, and the decisions on loops."""
     lidar, events = replace(LIDAR_MODELS["short"], rate=3.0), EventRecorder()
-    messages = list(Simulation("square", seed=seed, duration=duration, lidar=lidar))
+    messages = list(Simulation(world, seed=seed, duration=duration, lidar=lidar))
     slam = Slam(sinks=[events])
     for message in messages:
         slam.add(message)
@@ -37,7 +35,8 @@ def drive_round_the_square(seed: int, duration: float) -> tuple[Slam, Finished, 
 
 
 def test_a_loop_at_the_end_of_a_drive_is_closed_by_its_evidence() -> None:
-    slam, finished, error, decided = drive_round_the_square(61, RETURNED)
+    """The drive ends some metres after the return."""
+    slam, finished, error, decided = drive_round("large_loop", 61, 113.0)
     assert [event.status for event in decided] == [LoopStatus.ACCEPTED]
     assert error < 0.05
     keyframes = slam.session.slam_state.mapper.keyframe_poses
@@ -46,14 +45,19 @@ def test_a_loop_at_the_end_of_a_drive_is_closed_by_its_evidence() -> None:
 
 
 def test_a_loop_at_the_end_of_a_drive_stays_open_if_its_place_is_ambiguous() -> None:
-    *_, decided = drive_round_the_square(62, RETURNED)
+    *_, decided = drive_round("square", 60, 135.0)
     assert {event.status for event in decided} == {LoopStatus.REJECTED}
 
 
 @pytest.mark.slow
-def test_no_loop_is_closed_while_an_equal_office_may_not_be_mapped(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Six looks over 13 m fit in offices that look alike, 4.5 metres beside the right ones."""
-    limit_drives(monkeypatch, 162.64)
-    run = run_world("equal_offices", 51)
+@pytest.mark.parametrize(("variant", "seed", "duration"), [("standard", 51, 162.64), ("half-circle", 8968, 165.36)])
+def test_no_loop_is_closed_between_equal_offices(
+    variant: str, seed: int, duration: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The evidence is for offices that look alike, 4.5 metres beside the right ones: looks extend over less than the
+    uncertainty of the position, or the right place is a rival.
+    """
+    limit_drives(monkeypatch, duration)
+    run = run_world("equal_offices", seed, variant)
     assert run.needed
     assert not run.wrong
