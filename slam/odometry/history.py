@@ -186,22 +186,34 @@ def error_of_stamps(stamps: Floats, poses: Floats) -> float:
     stamps  (n,) seconds, increasing
     poses   (n, 3)
 
-    A reading that is stamped t too late while the wheels roll at the speed v is off by v t. Of three readings with the
-    travelled distances s, the second is off from the line through the others by
-
-        e = s_1 - (1 - w) s_0 - w s_2,    w = (t_1 - t_0) / (t_2 - t_0),
-
-    with the variance (1 + w^2 + (1 - w)^2) (v sigma)^2. The median over all triples ignores slips, gaps and phases of
-    acceleration.
+    A reading that is stamped t too late while the wheels roll at the speed v is off by v t, see `deviations_of_triples`
+    of the travelled distances. The median over all triples ignores slips, gaps and phases of acceleration.
     """
     if len(stamps) < MIN_TRIPLES + 2:
         return 0.0
     travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
-    duration = stamps[2:] - stamps[:-2]
-    speed, share = (travelled[2:] - travelled[:-2]) / duration, (stamps[1:-1] - stamps[:-2]) / duration
+    speed = (travelled[2:] - travelled[:-2]) / (stamps[2:] - stamps[:-2])
     moving = speed > MIN_SPEED
     if np.count_nonzero(moving) < MIN_TRIPLES:
         return 0.0
-    error = travelled[1:-1] - (1.0 - share) * travelled[:-2] - share * travelled[2:]
-    scaled = error[moving] / speed[moving] / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)[moving]
+    error, factor = deviations_of_triples(stamps, travelled)
+    scaled = error[moving] / speed[moving] / factor[moving]
     return NORMAL_SCALE * float(np.median(np.abs(scaled)))
+
+
+def deviations_of_triples(stamps: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Return by how much the second of each three readings is off from the line through the others.
+
+    stamps  (n,) seconds, increasing
+    values  (n,) or (n, m) of the readings
+
+    Returns the deviations (n - 2,) or (n - 2, m),
+
+        e = s_1 - (1 - w) s_0 - w s_2,    w = (t_1 - t_0) / (t_2 - t_0),
+
+    and the factor sqrt(1 + w^2 + (1 - w)^2) by which their standard deviation is that of a reading.
+    """
+    share = (stamps[1:-1] - stamps[:-2]) / (stamps[2:] - stamps[:-2])
+    share = share if values.ndim == 1 else share[:, None]
+    error = values[1:-1] - (1.0 - share) * values[:-2] - share * values[2:]
+    return error, np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)

@@ -25,7 +25,7 @@ from features.normal_limits import NORMAL_LIMIT
 from ..geometry.normal_distribution import NORMAL_SCALE
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
 from ..geometry.segments import Floats
-from .history import OdometryHistory, wheel_travel
+from .history import OdometryHistory, deviations_of_triples, wheel_travel
 
 # Metres^2 per second^3, spectral density of the wheels' acceleration. Origin: chosen, 0.5 m/s^2 for 0.4 s; with five
 # times as much, the NEES of simulated drives is up to a tenth larger, with a fifth of it smaller.
@@ -72,22 +72,19 @@ def is_within_jitter(odometry: OdometryHistory, begin: float, end: float, travel
     begin, end  stamps of the sweep, seconds; readings up to REACH before it count
     travel      metres of wheel travel from one to the other
 
-    Of three readings, the second is off from the line through the others by e, see `error_of_stamps`; the median tells
-    the jitter and ignores changes of speed. If a robot moves steadily, errors of stamps look like jitter, too, but its
-    readings have a trend, which is fitted by least squares. False if there are too few readings.
+    The median deviation of three readings from a line tells the jitter, and ignores changes of speed. If a robot moves
+    steadily, errors of stamps look like jitter, too, but its readings have a trend, which is fitted by least squares.
+    False if there are too few readings.
     """
     times, readings = odometry.readings_between(begin - REACH, end)
     if len(times) < MIN_READINGS:
         return False
     poses = between_each(readings[:1], readings)
     poses[:, 2] = unwrapped(poses[:, 2].copy())
-    share = ((times[1:-1] - times[:-2]) / (times[2:] - times[:-2]))[:, None]
-    error = poses[1:-1] - (1.0 - share) * poses[:-2] - share * poses[2:]
-    scaled = error / np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
-    jitter = NORMAL_SCALE * float(wheel_travel(np.median(np.abs(scaled), axis=0)))
+    error, factor = deviations_of_triples(times, poses)
+    jitter = NORMAL_SCALE * float(wheel_travel(np.median(np.abs(error / factor), axis=0)))
     centred = times - times.mean()
-    spread = float(np.linalg.norm(centred))
-    trend = float(wheel_travel(centred @ poses / spread))
+    trend = float(wheel_travel(centred @ poses / float(np.linalg.norm(centred))))
     return travel < NORMAL_LIMIT * 2**0.5 * jitter and trend < NORMAL_LIMIT * jitter
 
 
