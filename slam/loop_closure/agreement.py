@@ -172,14 +172,14 @@ class LoopAgreement:
         """Look for the last keyframe's place in old parts of the map; return a closure that looks agree on, if any.
 
         among  (k,) keyframes whose places are searched; None for all
-        ended  true at the end of a run: no look will follow, so the closure that most looks support is returned, be
-               they few, for the evidence of the drive to decide on
+        ended  true at the end of a run: no look will follow, so few looks are enough, for the evidence of the drive to
+               decide on the closure
         """
         now = float(mapper.travelled[mapper.keyframe_count - 1])
         is_due = now > self._last_search if ended else now - self._last_search >= SEARCH_INTERVAL
         decision = self._look(now, mapper, local_field, among) if is_due else None
         if decision is None and ended:
-            decision = self._best(Look(mapper, local_field, self._submaps, among, apart=self._joins))
+            decision = self._last_accepted(Look(mapper, local_field, self._submaps, among, apart=self._joins))
         return None if decision is None else self.number(decision)
 
     def _look(
@@ -307,9 +307,9 @@ class LoopAgreement:
             decision = self._judgement(look.doubting_estimate()).accepted()
         return decision
 
-    def _best(self, look: Look) -> LoopDecision | None:
-        """Return the closure that most looks support at the end of a run."""
-        decision = self._judgement(look).best()
+    def _last_accepted(self, look: Look) -> LoopDecision | None:
+        """Return a closure that few looks agree on at the end of a run, if any."""
+        decision = self._judgement(look).accepted(ended=True)
         return None if decision is None or self._is_excluded(look, decision.correction) else decision
 
     def _judgement(self, look: Look) -> Judgement:

@@ -29,31 +29,19 @@ class Judgement:
     returned_at: Sequence[float]
     joins: bool
 
-    def accepted(self) -> LoopDecision | None:
-        """Return a closure that enough looks support, that few contradict and that has no equal rival."""
+    def accepted(self, *, ended: bool = False) -> LoopDecision | None:
+        """Return a closure that enough looks support, that few contradict and that has no equal rival.
+
+        If the run has `ended`, few looks are enough, for the evidence of the drive to decide on the closure.
+        """
         for hypothesis in self.hypotheses:
             if hypothesis.support[-1].keyframe != self.look.last:
                 continue
-            consistent, checks = self._judged(hypothesis)
+            consistent, checks = self._judged(hypothesis, ended=ended)
             rivals = self._rivals(hypothesis)
             if all(check.passed for check in checks) and all(prevails(consistent, rival) for rival in rivals):
                 return self._decide(consistent, rivals, checks)
         return None
-
-    def best(self) -> LoopDecision | None:
-        """Return the closure that most looks support at the end of a drive, be they few, for its evidence to decide on.
-
-        The last look has to support it, and it has to prevail over its rivals, as while the robot drives on.
-        """
-        best, most = None, 0
-        for hypothesis in self.hypotheses:
-            consistent = replace(hypothesis, support=self.look.consistent(hypothesis.support))
-            rivals = self._rivals(hypothesis)
-            checks = self._checks(consistent, ended=True)
-            possible = hypothesis.support[-1].keyframe == self.look.last and all(check.passed for check in checks)
-            if possible and len(consistent.support) > most and all(prevails(consistent, rival) for rival in rivals):
-                best, most = self._decide(consistent, rivals, checks), len(consistent.support)
-        return best
 
     def decision(self, hypothesis: LoopHypothesis) -> tuple[LoopDecision, int]:
         """Return the decision for a hypothesis, and the number of rivals over which it does not prevail."""
@@ -64,15 +52,15 @@ class Judgement:
     def _rivals(self, hypothesis: LoopHypothesis) -> list[LoopHypothesis]:
         return [other for other in self.hypotheses if other is not hypothesis]
 
-    def _judged(self, hypothesis: LoopHypothesis) -> tuple[LoopHypothesis, tuple[Check, ...]]:
+    def _judged(self, hypothesis: LoopHypothesis, *, ended: bool = False) -> tuple[LoopHypothesis, tuple[Check, ...]]:
         """Return a hypothesis with its checks; if it passes them, with the consistent part of its support only."""
-        checks = self._checks(hypothesis)
+        checks = self._checks(hypothesis, ended=ended)
         if all(check.passed for check in checks):
             hypothesis = replace(hypothesis, support=self.look.consistent(hypothesis.support))
-            checks = self._checks(hypothesis)
+            checks = self._checks(hypothesis, ended=ended)
         return hypothesis, checks
 
-    def _checks(self, hypothesis: LoopHypothesis, *, ended: bool = False) -> tuple[Check, ...]:
+    def _checks(self, hypothesis: LoopHypothesis, *, ended: bool) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
         first = hypothesis.support[0].travelled
         against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returned_at))
