@@ -69,6 +69,7 @@ def drive_of(
         deviations=odometry_model.deviations,
         floors=odometry_model.floors,
         measured=scans.measured[rows],
+        dropped=~scans.has_features[rows],
         has_odometry=odometry_model.measured,
         start=start,
         readings=np.concatenate([np.zeros(0), *(history.stamps for history in segments.histories)]),

@@ -35,6 +35,7 @@ class Drive:
     deviations  (4,) standard deviations of the random errors of odometry, see `OdometryModel.deviations`
     floors      (2,) standard deviations of a single odometry reading, metres and radians
     measured    (n,) False for scans to which odometry does not lead, as it was missing or failing
+    dropped     (n,) True for scans whose points were dropped, as in familiar places: they matched the map while driving
     has_odometry  False if the motions are predicted at constant velocity throughout
     start       stamp (seconds) from which times in texts are counted
     readings    (m,) stamps of the odometry readings; between two of them odometry is interpolated. Without any, there
@@ -49,6 +50,7 @@ class Drive:
     deviations: Floats
     floors: Floats
     measured: NDArray[np.bool_]
+    dropped: NDArray[np.bool_]
     has_odometry: bool = True
     start: float = 0.0
     readings: Floats = field(default_factory=lambda: np.zeros(0))
@@ -60,7 +62,6 @@ class Drive:
         """Return the drive with those scans only that are SAMPLE_DISTANCE or SAMPLE_TURN apart and not empty."""
         counts = np.array([len(points) for points in self.points], dtype=np.int64)
         rows = _sample(self.odometry, self.poses, counts)
-        unmeasured = np.cumsum(~self.measured)[rows]
         return replace(
             self,
             stamps=self.stamps[rows],
@@ -68,7 +69,8 @@ class Drive:
             odometry=self.odometry[rows],
             segment=self.segment[rows],
             points=[np.ascontiguousarray(self.points[row], dtype=np.float64) for row in rows.tolist()],
-            measured=np.diff(unmeasured, prepend=0) == 0,  # at all scans since the one before
+            measured=~_any_since_last(~self.measured, rows),
+            dropped=_any_since_last(self.dropped, rows),
         )
 
     def between_readings(self, first: int, last: int) -> tuple[int, int]:
@@ -109,6 +111,11 @@ class Drive:
         position, reading = self.floors**2
         heading = rates[2] * travel + rates[3] * np.abs(motion[..., 2]) + reading
         return np.stack([rates[0] * travel**2 + position, rates[1] * travel**2 + position, heading], axis=-1)
+
+
+def _any_since_last(mask: NDArray[np.bool_], rows: Integers) -> NDArray[np.bool_]:
+    """Return (m,) True for each of the rows if `mask` (n,) is True at it, or at any row since the one before it."""
+    return np.asarray(np.diff(np.cumsum(mask)[rows], prepend=0) > 0)
 
 
 @compiled

@@ -39,6 +39,7 @@ def simulated_drive(world: str, seed: int = 0) -> Drive:
         deviations=np.array([0.04, 0.04, 0.03, 0.03]),
         floors=np.array([config.odometry.translation_floor, config.odometry.rotation_floor]),
         measured=np.ones(len(scans), dtype=bool),
+        dropped=np.zeros(len(scans), dtype=bool),
     )
 
 

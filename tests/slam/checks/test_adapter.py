@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from slam.config import Config
 from slam.mapping.odometry_segments import OdometrySegments
 from slam.odometry.error_model import OdometryModel
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
+from slam.preprocessing.scan_sequence import ScanSequence
 
 
 def scans(count: int) -> list[ProcessedScan]:
@@ -49,6 +51,15 @@ def test_each_motion_of_odometry_is_corrected() -> None:
     expected = model.correct(se2.between(odometry[:-1], odometry[1:]))
     assert se2.between(drive.odometry[:-1], drive.odometry[1:]) == pytest.approx(expected, abs=1e-12)
     assert np.hypot(*expected[0, :2]) < 0.95 * np.hypot(0.3, 0.1)
+
+
+def test_scans_whose_features_were_dropped_are_named() -> None:
+    given = [ProcessedScan(0.5 * k, np.zeros(3), replace(NO_FEATURES)) for k in range(4)]  # each sees nothing
+    kept = ScanSequence(given)
+    kept.drop_features([2])
+    placed = (kept.stamps, np.zeros((4, 3)))
+    drive = drive_of(kept, segments(0), placed, OdometryModel(Config().odometry), 0.0)
+    assert drive.dropped.tolist() == [False, False, True, False]
 
 
 def test_a_run_without_any_placed_scan_is_an_empty_drive() -> None:

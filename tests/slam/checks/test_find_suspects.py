@@ -54,7 +54,7 @@ def test_a_wrong_pose_behind_a_hole_in_the_scans_is_found() -> None:
     """In the hole the robot drives farther than scans can be compared: odometry alone contradicts the pose."""
     drive = simulated_drive("office")
     kept = (drive.stamps < 30.0) | (drive.stamps > 46.0)
-    names = "stamps", "poses", "odometry", "segment", "measured"
+    names = "stamps", "poses", "odometry", "segment", "measured", "dropped"
     with_hole = replace(
         drive,
         points=[points for points, is_kept in zip(drive.points, kept, strict=True) if is_kept],
@@ -65,6 +65,18 @@ def test_a_wrong_pose_behind_a_hole_in_the_scans_is_found() -> None:
     moved = moved_from(with_hole.poses, behind, np.array([-8.0, 0.0, 0.0]))
     found = of(PLACEMENT, find_suspects(with_path(with_hole, moved)))
     assert [one.stamp for one in found if "no scan shows anything" in one.text] == [with_hole.stamps[behind]]
+
+
+def test_a_stretch_whose_scans_were_dropped_is_not_judged_by_odometry_alone() -> None:
+    """The scans matched the map while driving, so the path through a familiar place is better known than odometry."""
+    drive = simulated_drive("office")
+    dropped = (drive.stamps > 30.0) & (drive.stamps < 46.0)
+    points = [points[:0] if is_dropped else points for points, is_dropped in zip(drive.points, dropped, strict=True)]
+    slipped = moved_from(drive.odometry, row_at(drive, 38.0), np.array([0.0, -8.0, 0.0]))
+    familiar = replace(drive, points=points, odometry=slipped, dropped=dropped)
+    assert find_suspects(familiar) == []
+    (found,) = find_suspects(replace(familiar, dropped=np.zeros(len(drive), dtype=bool)))
+    assert "no scan shows anything" in found.text
 
 
 def test_a_turn_in_a_row_of_wrong_steps_makes_one_suspect() -> None:
