@@ -30,7 +30,8 @@ class Drive:
     stamps      (n,) seconds
     poses       (n, 3) final poses of the base in the map
     odometry    (n, 3) odometry poses, without systematic errors as far as they are known
-    segment     (n,) number of the odometry segment: odometry is continuous within one
+    segment     (n,) number of the odometry segment: odometry is continuous within one, and no scan is left out that was
+                dropped
     points      n arrays (p, 2), the valid returns in the base's frame, metres
     deviations  (4,) standard deviations of the random errors of odometry, see `OdometryModel.deviations`
     floors      (2,) standard deviations of a single odometry reading, metres and radians
@@ -61,16 +62,20 @@ class Drive:
     def sampled(self) -> Drive:
         """Return the drive with those scans only that are SAMPLE_DISTANCE or SAMPLE_TURN apart and not empty."""
         counts = np.array([len(points) for points in self.points], dtype=np.int64)
-        rows = _sample(self.odometry, self.poses, counts)
+        rows = _sample(self.odometry, self.poses, (counts >= MIN_POINTS) | self.dropped)
+        apart = np.cumsum(self.dropped[rows])  # segments end where a scan would have been checked that was dropped
+        kept = ~self.dropped[rows]
+        rows, apart = rows[kept], apart[kept]
+        unmeasured = np.cumsum(~self.measured)[rows]
         return replace(
             self,
             stamps=self.stamps[rows],
             poses=self.poses[rows],
             odometry=self.odometry[rows],
-            segment=self.segment[rows],
+            segment=self.segment[rows] + apart,
             points=[np.ascontiguousarray(self.points[row], dtype=np.float64) for row in rows.tolist()],
-            measured=~_any_since_last(~self.measured, rows),
-            dropped=_any_since_last(self.dropped, rows),
+            measured=np.diff(unmeasured, prepend=0) == 0,  # at all scans since the one before
+            dropped=self.dropped[rows],
         )
 
     def between_readings(self, first: int, last: int) -> tuple[int, int]:
@@ -113,18 +118,13 @@ class Drive:
         return np.stack([rates[0] * travel**2 + position, rates[1] * travel**2 + position, heading], axis=-1)
 
 
-def _any_since_last(mask: NDArray[np.bool_], rows: Integers) -> NDArray[np.bool_]:
-    """Return (m,) True for each of the rows if `mask` (n,) is True at it, or at any row since the one before it."""
-    return np.asarray(np.diff(np.cumsum(mask)[rows], prepend=0) > 0)
-
-
 @compiled
-def _sample(odometry, poses, counts):  # type: ignore[no-untyped-def]
-    """Return the rows that odometry or path moved far enough from the row before."""
+def _sample(odometry, poses, checked):  # type: ignore[no-untyped-def]
+    """Return the rows, of those to be `checked`, that odometry or path moved far enough from the row before."""
     rows = np.zeros(len(poses), dtype=np.int64)
     count = 0
     for k in range(len(poses)):
-        if counts[k] < MIN_POINTS:
+        if not checked[k]:
             continue
         chosen = count == 0
         for path in (odometry, poses):

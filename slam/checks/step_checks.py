@@ -101,7 +101,7 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
     misplaced = _misplacements(drive, steps)
     for group in consecutive_groups(np.flatnonzero(steps.slip > 0.0), MAX_GAP):
         evidence = float(steps.slip[group].sum())
-        before, after = drive.between_readings(max(int(group[0]) - 1, 0), min(int(group[-1]) + 2, len(drive) - 1))
+        before, after = _rows_around(drive, group)
         driven = se2.between(drive.poses[before], drive.poses[after])
         measured = se2.between(drive.odometry[before], drive.odometry[after])
         wrong = se2.between(measured, driven)
@@ -115,6 +115,17 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
                 "the robot was carried"
             )
             yield _suspect(drive, ODOMETRY, group, worst, evidence / steps.threshold, text)
+
+
+def _rows_around(drive: Drive, steps: Integers) -> tuple[int, int]:
+    """Return the scan before a group of steps and the one after, or as far apart as the odometry readings around both.
+
+    Odometry is compared within one segment only.
+    """
+    before, after = drive.between_readings(max(int(steps[0]) - 1, 0), min(int(steps[-1]) + 2, len(drive) - 1))
+    begin = int(np.searchsorted(drive.segment, drive.segment[steps[0]]))
+    end = int(np.searchsorted(drive.segment, drive.segment[steps[-1] + 1], side="right"))
+    return max(before, begin), min(after, end - 1)
 
 
 def _suspect(drive: Drive, check: str, steps: Integers, worst: int, weight: float, text: str) -> Suspect:

@@ -3,8 +3,8 @@
 A step leads from one checked scan to the next. Two things speak for or against it: how well the scan fits the scans
 just before it, and how far the step departs from odometry. Both are added as logarithms of a probability: the fit times
 FIT_WEIGHT, and for odometry a Cauchy distribution, since wheels slip now and then. The scans before say nothing about a
-long step, as over a hole in the scans: odometry alone judges it, unless scans in between matched the map while driving
-and were dropped. Steps on which odometry was missing or known to fail are not judged in this way.
+long step, as over a hole in the scans: odometry alone judges it. Steps on which odometry was missing or known to fail
+are not judged in this way, and steps over scans that were dropped not at all.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def judge_steps(drive: Drive) -> Steps:
                 _judge(steps, k, drive, field, measured[k], float(prior[k]))
             if gross[k]:
                 _judge_odometry(steps, k, drive, field, measured[k])
-    alone = np.flatnonzero(continuous & ~short & drive.measured[1:] & ~drive.dropped[1:])
+    alone = np.flatnonzero(continuous & ~short & drive.measured[1:])
     steps.gain[alone], steps.alternative[alone] = -prior[alone], se2.compose(drive.poses[alone], measured[alone])
     return steps
 

@@ -66,13 +66,11 @@ def carried(drive: Drive, first: float, last: float) -> Drive:
     odometry[after:] = se2.compose(odometry[before - 1], se2.between(odometry[after], odometry[after:]))
     stamps = drive.stamps.copy()
     stamps[after:] -= last - first
-    points = [drive.points[row] for row in kept.tolist()]
-    return replace(
-        drive,
-        stamps=stamps[kept],
-        poses=drive.poses[kept],
-        odometry=odometry[kept],
-        segment=drive.segment[kept],
-        points=points,
-        measured=drive.measured[kept],
-    )
+    return only(replace(drive, stamps=stamps, odometry=odometry), kept)
+
+
+def only(drive: Drive, rows: np.ndarray) -> Drive:
+    """Return the drive with some of its scans only."""
+    names = "stamps", "poses", "odometry", "segment", "measured", "dropped"
+    points = [drive.points[row] for row in rows.tolist()]
+    return replace(drive, points=points, **{name: getattr(drive, name)[rows] for name in names})

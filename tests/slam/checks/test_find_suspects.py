@@ -15,7 +15,7 @@ from slam.checks.drive import Drive
 from slam.checks.report import find_suspects
 from slam.checks.suspect import MAP, ODOMETRY, PLACEMENT
 
-from .drives import carried, moved_from, row_at, simulated_drive
+from .drives import carried, moved_from, only, row_at, simulated_drive
 
 SECONDS = 3.0  # from the injected error to the suspect
 
@@ -54,12 +54,7 @@ def test_a_wrong_pose_behind_a_hole_in_the_scans_is_found() -> None:
     """In the hole the robot drives farther than scans can be compared: odometry alone contradicts the pose."""
     drive = simulated_drive("office")
     kept = (drive.stamps < 30.0) | (drive.stamps > 46.0)
-    names = "stamps", "poses", "odometry", "segment", "measured", "dropped"
-    with_hole = replace(
-        drive,
-        points=[points for points, is_kept in zip(drive.points, kept, strict=True) if is_kept],
-        **{name: getattr(drive, name)[kept] for name in names},
-    )
+    with_hole = only(drive, np.flatnonzero(kept))
     behind = row_at(with_hole, 46.0)
     assert find_suspects(with_hole) == []
     moved = moved_from(with_hole.poses, behind, np.array([-8.0, 0.0, 0.0]))
@@ -67,16 +62,28 @@ def test_a_wrong_pose_behind_a_hole_in_the_scans_is_found() -> None:
     assert [one.stamp for one in found if "no scan shows anything" in one.text] == [with_hole.stamps[behind]]
 
 
-def test_a_stretch_whose_scans_were_dropped_is_not_judged_by_odometry_alone() -> None:
-    """The scans matched the map while driving, so the path through a familiar place is better known than odometry."""
-    drive = simulated_drive("office")
-    dropped = (drive.stamps > 30.0) & (drive.stamps < 46.0)
+def with_dropped_scans(drive: Drive, first: float, last: float) -> Drive:
+    """Return the drive as if the robot had been in a familiar place from `first` to `last`, seconds."""
+    dropped = (drive.stamps > first) & (drive.stamps < last)
     points = [points[:0] if is_dropped else points for points, is_dropped in zip(drive.points, dropped, strict=True)]
-    slipped = moved_from(drive.odometry, row_at(drive, 38.0), np.array([0.0, -8.0, 0.0]))
-    familiar = replace(drive, points=points, odometry=slipped, dropped=dropped)
-    assert find_suspects(familiar) == []
-    (found,) = find_suspects(replace(familiar, dropped=np.zeros(len(drive), dtype=bool)))
-    assert "no scan shows anything" in found.text
+    return replace(drive, points=points, dropped=dropped)
+
+
+@pytest.mark.parametrize("motion", [[0.0, -8.0, 0.0], [-8.0, 0.0, 0.0]])
+def test_odometry_is_not_compared_over_a_stretch_whose_scans_were_dropped(motion: list[float]) -> None:
+    """The scans matched the map while driving, so the path is known better than by odometry."""
+    drive = with_dropped_scans(simulated_drive("office"), 30.0, 46.0)
+    drifted = replace(drive, odometry=moved_from(drive.odometry, row_at(drive, 38.0), np.array(motion)))
+    assert find_suspects(drifted) == []
+    (found,) = find_suspects(replace(drifted, dropped=np.zeros(len(drive), dtype=bool)))
+    assert abs(found.stamp - 46.0) < SECONDS
+
+
+def test_a_slip_beside_a_stretch_whose_scans_were_dropped_is_found() -> None:
+    drive = with_dropped_scans(simulated_drive("office"), 30.0, 46.0)
+    slipped = moved_from(drive.odometry, row_at(drive, 48.0), np.array([3.0, 0.0, 0.0]))
+    (found,) = find_suspects(replace(drive, odometry=slipped))
+    assert (found.check, abs(found.stamp - 48.0) < SECONDS) == (ODOMETRY, True)
 
 
 def test_a_turn_in_a_row_of_wrong_steps_makes_one_suspect() -> None:
@@ -209,6 +216,16 @@ def test_where_odometry_starts_anew_no_step_is_judged() -> None:
     assert find_suspects(replace(drive, segment=segment)) == []
 
 
+def test_a_slip_where_odometry_starts_anew_is_measured_from_there() -> None:
+    drive = simulated_drive("office")
+    begin = row_at(drive, 40.0)
+    segment = (np.arange(len(drive)) >= begin).astype(np.int64)
+    odometry = moved_from(drive.odometry, begin, np.array([20.0, 0.0, 0.0]))
+    slipped = moved_from(odometry, begin + 1, np.array([3.0, 0.0, 0.0]))
+    (found,) = find_suspects(replace(drive, segment=segment, odometry=slipped))
+    assert "odometry contradicts the scans by 3.0" in found.text
+
+
 def test_a_crowd_is_not_an_error_of_the_map() -> None:
     """People stand around the robot while it passes a place that it has seen before, and will see again, empty."""
     drive = simulated_drive("office")
@@ -225,8 +242,7 @@ def test_a_crowd_is_not_an_error_of_the_map() -> None:
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_a_drive_of_hardly_any_scans_has_no_suspects(count: int) -> None:
     drive = simulated_drive("office")
-    parts = {name: getattr(drive, name)[:count] for name in ("stamps", "poses", "odometry", "segment", "points")}
-    assert find_suspects(replace(drive, **parts)) == []
+    assert find_suspects(only(drive, np.arange(count))) == []
 
 
 def test_scans_without_returns_are_left_out() -> None:
