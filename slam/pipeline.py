@@ -191,6 +191,7 @@ class Slam:
             self._estimator.doubt_place(first.pose)
         else:
             self._preprocessor.odometry = self._journal.start_odometry_segment()
+            self.slam_state.odometry_model.begin_drive()
             self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True, expected=STATED)
         self._localisation.handle(first.stamp, LocalisationEvent.STARTED_ANYWHERE)
 

@@ -81,15 +81,16 @@ def familiar_keyframe(state: SlamState, tracking: TrackingResult) -> int | None:
 def learn_between_keyframes(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) -> None:
     """Learn from a tracked scan that is no keyframe, if the robot has moved by the smaller distance since the last one.
 
-    It shows odometry's errors, and which walls are no longer there.
+    It shows odometry's errors, and which walls are no longer there; a frozen map keeps its walls.
     """
-    if state.anchor is None or state.kidnapped or state.slipped or state.frozen:
+    if state.anchor is None or state.kidnapped or state.slipped:
         return
     start = state.learned_until or state.anchor
     if state.spacings(state.pose_of(start), tracking.predicted.pose) > CLOSE_SHARE:
         pose = tracking.registration.pose
         learn_motion(state, scan.odometry, tracking)
-        state.mapper.count_walls_seen_through(pose, scan.features.points.xy)
+        if not state.frozen:
+            state.mapper.count_walls_seen_through(pose, scan.features.points.xy)
         relative = se2.between(state.mapper.keyframe_poses[start.keyframe], pose)
         state.learned_until = Anchor(start.keyframe, relative, tracking.registered_covariance, scan.odometry)
 

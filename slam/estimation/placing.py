@@ -45,7 +45,7 @@ def relocalise(state: SlamState, joined: SlamState, odometry: se2.Pose) -> None:
     """Continue where the robot is in a copy of a state, in which it has mapped on and its map was joined.
 
     Its scans are added to the trajectory, unless the robot was carried and has not been recognised between them and
-    now. `odometry` is the present pose of odometry.
+    now. Odometry's errors are those that it has learned meanwhile. `odometry` is the present pose of odometry.
     """
     count = state.mapper.keyframe_count
     old_poses, poses = joined.mapper.keyframe_poses[:count], joined.mapper.keyframe_poses
@@ -55,5 +55,7 @@ def relocalise(state: SlamState, joined: SlamState, odometry: se2.Pose) -> None:
         if known[keyframe]:
             nearest, pose = relative_to_nearest(old_poses, se2.compose(poses[keyframe], relative))
             state.trajectory.add(float(stamp), nearest, pose, information)
+    state.odometry_model = joined.odometry_model
+    state.tracker.replace_model(state.odometry_model)
     nearest, pose = relative_to_nearest(old_poses, joined.pose)
     state.move_to(se2.compose(state.mapper.keyframe_poses[nearest], pose), odometry)

@@ -168,12 +168,12 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     state.mapper.solve_waiting()
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
     state.set_anchor(Anchor(keyframe, relative, tracking.registered_covariance, scan.odometry))
-    state.kidnapped = state.kidnapped and not state.frozen
+    state.kidnapped, state.slipped = state.kidnapped and not state.frozen, False
     if not state.frozen:
         state.mapper.remove_walls_seen_through(state.pose, scan.features.points.xy)
     state.update_local_field()
     state.local_map = state.local_map_at(state.pose, LOCAL_MAP_MARGIN + scan.features.segments.reach())
-    state.tracker.correct(state.pose)
+    state.tracker.correct(state.pose, tracking.registered_covariance)
 
 
 def _extend_trajectory_by_tentative(state: SlamState, stamp: float, tracking: TrackingResult) -> None:

@@ -28,6 +28,7 @@ from ..mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, empty_local_map
 from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
 from ..odometry.predicted_motion import PredictedMotionModel, motion_model
+from ..odometry.systematic_errors import PERFECT
 from ..preprocessing.preprocessor import ProcessedScan
 from ..recognition.join_search import JoinSearch
 from ..recognition.location import LOST, Expectation
@@ -104,15 +105,17 @@ class SlamState:
         loops: LoopAgreementState,
         scans: Mapping[int, ProcessedScan],
         joins: Mapping[int, LoopAgreementState] | None = None,
+        expected_errors: Floats = PERFECT,
     ) -> SlamState:
         """Restore a state from saved parts.
 
-        `stamps` and `scans` are those of the keyframes, `odometry_samples` the samples of the odometry model. The
-        checkpoints of closures that were still monitored are not saved: these closures stay. `joins` are the states of
-        the searches for joins, by group of parts.
+        `stamps` and `scans` are those of the keyframes, `odometry_samples` the samples of the odometry model, and
+        `expected_errors` the errors (6,) that it expected before them. The checkpoints of closures that were still
+        monitored are not saved: these closures stay. `joins` are the states of the searches for joins, by group of
+        parts.
         """
         state = cls(config)
-        state.odometry_model.add_samples(odometry_samples)
+        state.odometry_model.restore(odometry_samples, expected_errors)
         state.mapper, state.trajectory, state.keyframe_stamps = mapper, trajectory, list(stamps)
         for start, end in pairwise(mapper.keyframe_poses):
             state.keyframe_driven.append(state.driven)

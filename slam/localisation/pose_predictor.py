@@ -10,6 +10,8 @@ import numpy as np
 from drivers import se2
 from features.normal_limits import NORMAL_LIMIT
 
+from ..geometry.pose_covariance import covariance_after
+from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction, information_of
 from ..odometry.error_model import OdometryModel
@@ -117,12 +119,13 @@ class PosePredictor:
             return False
         return bool(wheel_travel(self._fix.odometry_motion(after)) <= MAX_TRAVEL)
 
-    def correct(self, pose: se2.Pose) -> None:
-        """Replace the pose of the last fix, and predict from it from now on."""
+    def correct(self, pose: se2.Pose, covariance: Floats | None = None) -> None:
+        """Replace the pose of the last fix, and predict from it from now on; for the covariance see `PoseFix`."""
         assert self._fix is not None
         self._comparison.follow(se2.between(self._fix.pose, pose), self._fix)
         self._followed = None if self._followed is None else self._followed.moved(self._fix.pose, pose)
-        self._fix = self._reference = PoseFix(pose, self._fix.odometry)
+        covariance = np.zeros((3, 3)) if covariance is None else covariance
+        self._fix = self._reference = PoseFix(pose, self._fix.odometry, covariance)
 
     def state(self, small_objects: SmallObjects, last_score: float) -> TrackerState | None:
         """Return the state to be saved, with that of the tracker itself; None before the first scan."""
@@ -272,10 +275,12 @@ class PosePredictor:
         self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None, cost: float = 0.0
     ) -> Prediction:
         """Return the prediction if the robot has moved from the reference as odometry says."""
-        motion = reference.odometry_motion(odometry)
-        pose = se2.compose(reference.pose, self.model.correct(motion))
-        information = inverse(self.model.covariance(motion) + self._prediction_error.covariance)
-        return Prediction(pose, information, cost, inertia=inertia)
+        measured = reference.odometry_motion(odometry)
+        motion = self.model.correct(measured)
+        covariance = self.model.covariance(measured) + self._prediction_error.covariance
+        if reference.covariance.any():
+            covariance += covariance_after(reference.covariance, motion)
+        return Prediction(se2.compose(reference.pose, motion), inverse(covariance), cost, inertia=inertia)
 
     def _even_motion(
         self, pose: se2.Pose, seconds: float, cost: float = 0.0, *, velocity: VelocityFilter | None = None

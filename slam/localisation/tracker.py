@@ -94,9 +94,9 @@ class Tracker:
         self._predictor.restore(state)
         self._small_objects, self._last_score = replace(state.small_objects), state.last_score
 
-    def correct(self, pose: se2.Pose) -> None:
-        """Replace the pose of the last fix, and predict from it from now on."""
-        self._predictor.correct(pose)
+    def correct(self, pose: se2.Pose, covariance: Floats | None = None) -> None:
+        """Replace the pose of the last fix, and predict from it from now on; for the covariance see `PoseFix`."""
+        self._predictor.correct(pose, covariance)
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""

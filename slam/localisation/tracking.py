@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import field
 from enum import Enum
 
 import numpy as np
@@ -87,10 +88,15 @@ class TrackingResult:
 
 @immutable
 class PoseFix:
-    """Pose of the base in the map, and the odometry pose at the same time."""
+    """Pose of the base in the map, and the odometry pose at the same time.
+
+    covariance  (3, 3) of the pose in the map, in its own frame; zero after a keyframe, since what the map around it is
+                known by is its uncertainty relative to this keyframe
+    """
 
     pose: se2.Pose
     odometry: se2.Pose
+    covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
 
     def odometry_motion(self, odometry: se2.Pose) -> se2.Pose:
         """Return the motion [x, y, heading] since then according to odometry."""

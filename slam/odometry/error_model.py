@@ -14,7 +14,7 @@ from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from .history import wheel_travel
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
-from .systematic_errors import MIN_MOTION_TRAVEL, SystematicErrors
+from .systematic_errors import MIN_MOTION_TRAVEL, PERFECT, SystematicErrors
 
 # Latest motions from which the random errors are estimated. Origin: chosen, some 60 m of driving; not measured.
 RANDOM_ERROR_SAMPLES = 200
@@ -56,7 +56,7 @@ class OdometryModel:
         self._initial_rates = np.array([along, along, heading, TURN_WALK**2])
         self._samples: Floats = np.zeros((0, 8))
         self._rates = np.maximum(self._initial_rates, MIN_VARIANCE_RATE)
-        self._systematic = SystematicErrors()
+        self._expected, self._systematic = PERFECT, SystematicErrors()
 
     @property
     def deviations(self) -> Floats:
@@ -73,6 +73,11 @@ class OdometryModel:
         return self._systematic
 
     @property
+    def expected_errors(self) -> Floats:
+        """(6,) systematic errors that were expected before this drive, see `SystematicErrors.values`."""
+        return self._expected
+
+    @property
     def floors(self) -> Floats:
         """(2,) standard deviations of a single reading, of position (metres) and heading (radians)."""
         return self._floors
@@ -84,6 +89,19 @@ class OdometryModel:
         With the variances of the registered ones: of the position in one direction (square metres), and of the heading.
         """
         return self._samples
+
+    def restore(self, samples: Floats, expected_errors: Floats) -> None:
+        """Restore a saved model without samples yet from `samples` (n, 8) and the errors (6,) expected before them."""
+        self._expected = expected_errors
+        self.add_samples(samples)
+
+    def begin_drive(self) -> None:
+        """Take what was learned as what is expected of another drive, in which the motions are measured anew.
+
+        Tyres, load and floor may have changed since, or the robot: the errors are as uncertain as before any driving.
+        """
+        self._expected, self._samples = self._systematic.values, np.zeros((0, 8))
+        self._estimate()
 
     def add_samples(self, samples: Floats) -> None:
         """Add `samples` (n, 8), e.g. of a saved model, and estimate the model again."""
@@ -105,7 +123,7 @@ class OdometryModel:
             self.add_samples(np.array([[*measured, *registered, of_position, variances[2]]]))
 
     def _estimate(self) -> None:
-        self._systematic = SystematicErrors.of_samples(self._samples)
+        self._systematic = SystematicErrors.of_samples(self._samples, self._expected)
         self._estimate_rates(*self._latest_samples())
 
     def _latest_samples(self) -> tuple[Floats, Floats, Floats]:

@@ -46,6 +46,9 @@ class PredictedMotionModel(OdometryModel):
         super().__init__(config)
         self._floors, self._systematic = INITIAL_FLOORS, SystematicErrors(variances=np.zeros(6))
 
+    def begin_drive(self) -> None:
+        """Keep what was learned: it is how robots accelerate, and no wheels have changed."""
+
     def _estimate(self) -> None:
         if not len(self._samples):  # as in a saved model of a robot that stood: the initial errors hold
             return

@@ -30,7 +30,9 @@ MIN_MOTION_TRAVEL = 0.05
 # Motions that the values before any driving count for. Origin: chosen, so few that the first metres of driving correct
 # a wrong value; not measured.
 PRIOR_SAMPLES = 10
-# Standard deviations of the systematic errors before any driving: relative ones of length and of turning, veering in
+# Values of perfect odometry: length, turning, veer, and the pose of odometry's frame. Origin: definition.
+PERFECT = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+# Standard deviations of the systematic errors before a drive: relative ones of length and of turning, veering in
 # radians per metre, and the pose of odometry's frame, metres and radians. Origin: chosen, wheels within 3 % of their
 # nominal size and distance, that differ by 0.5 % at a distance of half a metre; a frame measured with a ruler, by eye.
 SYSTEMATIC_SIGMAS = np.array([0.03, 0.05, 0.01, 0.05, 0.05, 0.03])
@@ -63,9 +65,12 @@ class SystematicErrors:
     variances: Floats = field(default_factory=lambda: SYSTEMATIC_SIGMAS**2)
 
     @classmethod
-    def of_samples(cls, samples: Floats) -> SystematicErrors:
-        """Estimate the errors from `samples` (n, 8) of motions, see `OdometryModel.samples`."""
-        means, variances = _systematic_errors(samples)
+    def of_samples(cls, samples: Floats, expected: Floats = PERFECT) -> SystematicErrors:
+        """Estimate the errors from `samples` (n, 8) of motions, see `OdometryModel.samples`.
+
+        `expected` are their values (6,) before the drive, with SYSTEMATIC_SIGMAS.
+        """
+        means, variances = _systematic_errors(samples, expected - PERFECT)
         turning = min(max(1.0 + means[1], 1 / MAX_TURN_FACTOR), MAX_TURN_FACTOR)
         return cls(1.0 + means[0], turning, means[2], means[3:], variances)
 
@@ -132,10 +137,11 @@ def _corrected(motions, length, turning, veer, frame):  # type: ignore[no-untype
 
 
 @compiled
-def _systematic_errors(samples):  # type: ignore[no-untyped-def]
+def _systematic_errors(samples, expected):  # type: ignore[no-untyped-def]
     """Return means (6,) and variances (6,) of the errors of length, turning and veering, and of odometry's frame.
 
-    samples  (n, 8) motions as measured by odometry and as registered, with variances
+    samples   (n, 8) motions as measured by odometry and as registered, with variances
+    expected  (6,) means before the drive
 
     A motion that turns by t moves the base by (I - R(t)) p in addition if odometry's frame is at p. In the axes halfway
     between both ends this is 2 sin(t / 2) [p_y, -p_x].
@@ -151,9 +157,9 @@ def _systematic_errors(samples):  # type: ignore[no-untyped-def]
             skew[straight] = (samples[k, 4] - left) / ahead - 0.5 * extra  # an arc's chord points ahead by half a turn
             straight += 1
     means, variances = np.empty(6), np.empty(6)
-    means[0], variances[0] = _posterior(length[:straight], SYSTEMATIC_SIGMAS[0])
-    means[2], variances[2] = _posterior(veer[:straight], SYSTEMATIC_SIGMAS[2])
-    means[5], variances[5] = _posterior(skew[:straight], SYSTEMATIC_SIGMAS[5])
+    means[0], variances[0] = _posterior(length[:straight], expected[0], SYSTEMATIC_SIGMAS[0])
+    means[2], variances[2] = _posterior(veer[:straight], expected[2], SYSTEMATIC_SIGMAS[2])
+    means[5], variances[5] = _posterior(skew[:straight], expected[5], SYSTEMATIC_SIGMAS[5])
     of_turn, x, y, turning = np.empty(count), np.empty(count), np.empty(count), 0
     for k in range(count):
         turn, actual = samples[k, 2], samples[k, 5]
@@ -169,24 +175,24 @@ def _systematic_errors(samples):  # type: ignore[no-untyped-def]
             change = 2.0 * math.sin(0.5 * turn)  # by the measured turn: that of registration may be zero
             x[turning], y[turning] = -left / change, ahead / change
             turning += 1
-    means[1], variances[1] = _posterior(of_turn[:turning], SYSTEMATIC_SIGMAS[1])
-    means[3], variances[3] = _posterior(x[:turning], SYSTEMATIC_SIGMAS[3])
-    means[4], variances[4] = _posterior(y[:turning], SYSTEMATIC_SIGMAS[4])
+    means[1], variances[1] = _posterior(of_turn[:turning], expected[1], SYSTEMATIC_SIGMAS[1])
+    means[3], variances[3] = _posterior(x[:turning], expected[3], SYSTEMATIC_SIGMAS[3])
+    means[4], variances[4] = _posterior(y[:turning], expected[4], SYSTEMATIC_SIGMAS[4])
     return means, variances
 
 
 @compiled
-def _posterior(values, sigma):  # type: ignore[no-untyped-def]
-    """Return mean and variance of an error, from samples (n,) and the standard deviation `sigma` before them.
+def _posterior(values, expected, sigma):  # type: ignore[no-untyped-def]
+    """Return mean and variance of an error, from samples (n,), and its mean and standard deviation before them.
 
     The samples count by their median, whose variance is pi / 2 times that of a mean. The spread of few samples says
     little about their variance: before any driving it is INITIAL_SPREAD, which counts for PRIOR_SAMPLES.
     """
     count = len(values)
     if not count:
-        return 0.0, sigma**2
+        return expected, sigma**2
     middle = median(values)
     spread = median((values - middle) ** 2) / NORMAL_MEDIAN
     spread = (PRIOR_SAMPLES * INITIAL_SPREAD + count * spread) / (PRIOR_SAMPLES + count)
     share = sigma**2 / (sigma**2 + 0.5 * math.pi * spread / count)
-    return share * middle, (1.0 - share) * sigma**2
+    return expected + share * (middle - expected), (1.0 - share) * sigma**2

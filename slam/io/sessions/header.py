@@ -58,6 +58,7 @@ class Recording(Record):
 class _PoseFix(Record):
     pose: Pose
     odometry: Pose
+    covariance: Covariance = to_matrix(np.zeros((3, 3)))
 
 
 class AnchorRecord(Record):
@@ -205,7 +206,9 @@ class SessionHeader(Record):
 
 
 def _fix_record(fix: PoseFix) -> _PoseFix:
-    return _PoseFix.model_construct(pose=to_pose(fix.pose), odometry=to_pose(fix.odometry))
+    return _PoseFix.model_construct(
+        pose=to_pose(fix.pose), odometry=to_pose(fix.odometry), covariance=to_matrix(fix.covariance)
+    )
 
 
 def _tracker_record(state: TrackerState) -> _Tracker:
@@ -233,7 +236,8 @@ def _tracker_record(state: TrackerState) -> _Tracker:
 
 def _tracker_state(record: _Tracker) -> TrackerState:
     fix, reference = (
-        PoseFix(np.array(saved.pose), np.array(saved.odometry)) for saved in (record.fix, record.reference)
+        PoseFix(np.array(saved.pose), np.array(saved.odometry), np.array(saved.covariance))
+        for saved in (record.fix, record.reference)
     )
     return TrackerState(
         fix, reference, record.since_fix, record.scan_stamp, tuple(record.intervals), np.array(record.velocity),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
@@ -11,7 +11,13 @@ from features import LearnedNoise
 
 from ...config import LidarConfig
 from ...geometry.segments import Floats
+from ...odometry.error_model import OdometryModel
+from ...odometry.systematic_errors import PERFECT
 from .records import Finite, Record
+
+MAX_SYSTEMATIC_ERROR = 10.0
+"""Largest systematic error of odometry: far more than any has."""
+_SystematicError = Annotated[Finite, Field(ge=-MAX_SYSTEMATIC_ERROR, le=MAX_SYSTEMATIC_ERROR)]
 
 
 class SensorModelsRecord(Record):
@@ -21,6 +27,7 @@ class SensorModelsRecord(Record):
                       was not estimated have the first only
     noise_scans, noise_lines  weights of the first two, likewise; None if not known
     odometry_samples  (n, 8)
+    odometry_expected (6,) see `OdometryModel.expected_errors`
     roughness_samples (m,)
     second_*          of the second lidar; None if there is none
     """
@@ -31,6 +38,7 @@ class SensorModelsRecord(Record):
     noise_scans: Finite | None = Field(default=None, gt=0.0)
     noise_lines: Finite | None = Field(default=None, gt=0.0)
     odometry_samples: list[list[Finite]]
+    odometry_expected: list[_SystematicError] = Field(default=PERFECT.tolist(), min_length=6, max_length=6)
     roughness_samples: list[Finite]
     second_sigma_range: Finite | None = Field(default=None, gt=0.0)
     second_sigma_bearing: Finite | None = Field(default=None, gt=0.0, le=math.pi)
@@ -40,12 +48,13 @@ class SensorModelsRecord(Record):
 
     @classmethod
     def from_models(
-        cls, noise: LearnedNoise, odometry_samples: Floats, roughness_samples: Floats, second_noise: LearnedNoise | None
+        cls, noise: LearnedNoise, odometry: OdometryModel, roughness_samples: Floats, second_noise: LearnedNoise | None
     ) -> SensorModelsRecord:
-        """Make the record from the noise of a ray of each lidar, the second one None if there is none, and samples."""
+        """Make the record from the noise of a ray of each lidar, the second one None if there is none, and the rest."""
         return cls.model_construct(
             **_values(noise),
-            odometry_samples=odometry_samples.tolist(),
+            odometry_samples=odometry.samples.tolist(),
+            odometry_expected=odometry.expected_errors.tolist(),
             roughness_samples=roughness_samples.tolist(),
             **({} if second_noise is None else _values(second_noise, "second_")),
         )

@@ -76,7 +76,7 @@ def write_session(directory: Path, session: StoredSession) -> None:
         slam_state.joins.states,
         graph,
         SensorModelsRecord.from_models(
-            session.noise, slam_state.odometry_model.samples, mapper.roughness.samples, session.second_noise
+            session.noise, slam_state.odometry_model, mapper.roughness.samples, session.second_noise
         ),
         mapper.landmarks.parts,
     )
@@ -158,6 +158,7 @@ def _read_slam_state(
                 agreement_state(header.agreement),
                 keyframes,
                 {group: agreement_state(record) for group, record in header.joins.items()},
+                np.array(header.sensor_models.odometry_expected),
             )
     except RESTORING_ERRORS as error:
         raise MapError(f"{path}: the session cannot be restored: {first_line(error)}") from error

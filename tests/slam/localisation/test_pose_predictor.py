@@ -55,6 +55,19 @@ def test_both_hypotheses_are_followed_from_where_a_tentative_scan_fits_them() ->
     assert predictions.evidence == 3.0
 
 
+def test_odometry_adds_its_errors_to_those_of_the_pose_that_it_starts_from() -> None:
+    model = OdometryModel(OdometryConfig())
+    predictor, turned = PosePredictor(model), np.array([0.5, 0.0, 0.5 * np.pi])
+    uncertain_ahead = np.diag([0.09, 1e-6, 1e-6])
+    predictor.move_to(np.zeros(3), np.zeros(3))
+    exact = np.linalg.inv(predictor.predict(0.0, turned).usual.information)
+    predictor.correct(np.zeros(3), uncertain_ahead)
+    added = np.linalg.inv(predictor.predict(0.1, turned).usual.information) - exact
+    assert np.diag(added) == pytest.approx([1e-6, 0.09, 1e-6], abs=2e-6)  # ahead then is to the right now
+    predictor.correct(np.zeros(3))  # a keyframe: the map is known relative to it
+    assert np.linalg.inv(predictor.predict(0.2, turned).usual.information) == pytest.approx(exact, rel=1e-9)
+
+
 def test_without_a_fit_odometry_is_followed_from_the_last_fix() -> None:
     predictor = PosePredictor(OdometryModel(OdometryConfig()))
     predictor.move_to(np.zeros(3), np.zeros(3))
