@@ -24,6 +24,7 @@ from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.mapping.convergence import converge
 from slam.mapping.mapper import Mapper
 from slam.preprocessing.message_check import MessageCheck
+from slam.odometry.systematic_errors import PERFECT
 from slam.preprocessing.preprocessor import NO_FEATURES
 from slam.preprocessing.scan_sequence import ScanSequence
 
@@ -251,6 +252,30 @@ def test_scan_without_features_is_read_back_without_features(tmp_path: Path) -> 
     restored = read_session(tmp_path)
     assert restored.scans[last].features is NO_FEATURES
     assert restored.scan_history().has_features.sum() == last
+
+
+def test_what_a_drive_through_a_known_map_goes_on_from_is_kept(
+    written: tuple[StoredSession, Path], tmp_path: Path
+) -> None:
+    """How uncertain the pose is from which odometry predicts, and the errors of odometry that are expected."""
+    session = read_session(written[1])
+    state, covariance = session.slam_state, np.diag([0.04, 0.01, 0.0004])
+    state.tracker.correct(state.pose, covariance)
+    state.odometry_model.begin_drive()
+    write_directory(tmp_path / "out", session)
+    restored = read_session(tmp_path / "out").slam_state
+    for before, after in zip(*(some.odometry_model.systematic_errors.values for some in (state, restored)), strict=True):
+        assert after == before
+    tracker = restored.tracker.state
+    assert tracker is not None
+    np.testing.assert_array_equal(tracker.reference.covariance, covariance)
+    header = tmp_path / "out" / SESSION / HEADER
+    data = json.loads(header.read_text())
+    del data["sensor_models"]["odometry_expected"]  # as earlier versions have written it
+    del data["checkpoint"]["tracker"]["reference"]["covariance"]
+    header.write_text(json.dumps(data))
+    earlier = read_session(tmp_path / "out").slam_state
+    np.testing.assert_array_equal(earlier.odometry_model.systematic_errors.values, PERFECT)
 
 
 def test_the_noise_of_rays_is_kept(written: tuple[StoredSession, Path], tmp_path: Path) -> None:

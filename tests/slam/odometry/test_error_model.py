@@ -7,7 +7,7 @@ from drivers import se2
 from slam.config import OdometryConfig
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import wheel_travel
-from slam.odometry.systematic_errors import SystematicErrors
+from slam.odometry.systematic_errors import SYSTEMATIC_SIGMAS, SystematicErrors
 
 
 def arc(length: float, turn: float) -> se2.Pose:
@@ -137,6 +137,28 @@ def test_the_first_motions_say_little_about_systematic_errors() -> None:
         measured = np.array([0.3, 0.0, 0.0])
         model.add_motion(measured, np.array([0.33, 0.0, 0.0]), DETERMINED)
     assert 1.0 < model.systematic_errors.length < 1.02  # both motions seem to be a tenth too short
+
+
+def test_another_drive_begins_with_the_errors_of_the_one_before_and_corrects_them_soon() -> None:
+    random, model = np.random.default_rng(0), OdometryModel(OdometryConfig())
+
+    def drive(length: float, motions: int) -> None:
+        for _ in range(motions):
+            measured = np.array([random.uniform(0.2, 0.4), 0.0, 0.0])
+            model.add_motion(measured, np.array([(length + random.normal(0.0, 0.03)) * measured[0], 0.0, 0.0]), DETERMINED)
+
+    drive(1.06, 500)
+    before = model.systematic_errors
+    model.begin_drive()
+    begun = model.systematic_errors
+    assert begun.values == pytest.approx(before.values)
+    assert np.sqrt(begun.variances) == pytest.approx(SYSTEMATIC_SIGMAS)
+    assert before.variances[0] < 0.1 * begun.variances[0]
+    drive(0.98, 40)
+    assert abs(model.systematic_errors.length - 0.98) < 3.0 * np.sqrt(model.systematic_errors.variances[0])
+    restored = OdometryModel(OdometryConfig())
+    restored.restore(model.samples, model.expected_errors)
+    np.testing.assert_array_equal(restored.systematic_errors.values, model.systematic_errors.values)
 
 
 def test_the_noise_of_registration_is_not_that_of_odometry() -> None:
