@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +13,12 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry
 from drivers.simulation import LidarModel, Simulation, WheelModel
 from slam import Slam
+from slam.config import Config, config_to_toml
 from slam.evaluation.benchmarks.scenarios.buildings import random_building
 from slam.events import Finished
+from slam.geometry.pose_covariance import position_sigma
+from slam.io.output_dir import CONFIG
+from slam.io.sessions import read_session, write_session
 
 BUILDING = random_building(1295)
 DURATION, LATER = 75.0, 1000.0  # seconds of each drive, and from one to the other
@@ -40,11 +45,19 @@ def add_all(slam: Slam, messages: Iterable[Message]) -> Finished:
     return slam.finish()
 
 
-@pytest.mark.parametrize("lengths", [LENGTHS, 1.0 / LENGTHS])
-def test_other_wheels_do_not_move_the_robot_along_a_corridor_of_a_known_map(lengths: float) -> None:
-    mapping = Slam()
+@pytest.fixture(scope="module")
+def map_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    mapping, folder = Slam(), tmp_path_factory.mktemp("map")
     add_all(mapping, drive(1, 0.0, 1.0))
-    localising, messages = Slam(resumed=mapping.session, frozen=True, start=np.zeros(3)), drive(2, LATER, lengths)
+    (folder / CONFIG).write_text(config_to_toml(Config()))
+    write_session(folder, mapping.session)
+    return folder
+
+
+@pytest.mark.parametrize("lengths", [LENGTHS, 1.0 / LENGTHS])
+def test_other_wheels_do_not_move_the_robot_along_a_corridor_of_a_known_map(map_folder: Path, lengths: float) -> None:
+    localising = Slam(resumed=read_session(map_folder), frozen=True, start=np.zeros(3))
+    messages = drive(2, LATER, lengths)
     finished = add_all(localising, messages)
     truth = [message for message in messages if isinstance(message, GroundTruth)]
     stamps, true = np.array([m.stamp for m in truth]), np.array([m.pose for m in truth])
@@ -52,3 +65,23 @@ def test_other_wheels_do_not_move_the_robot_along_a_corridor_of_a_known_map(leng
     errors = np.hypot(*(finished.poses - se2.between(true[0], true[rows]))[:, :2].T)
     assert errors.max() < 0.2
     assert localising.slam_state.odometry_model.systematic_errors.length == pytest.approx(1.0 / lengths, abs=0.02)
+    tracker = localising.slam_state.tracker.state
+    assert tracker is not None
+    assert 1e-3 < position_sigma(tracker.reference.covariance) < 0.1
+
+
+def test_a_slip_in_a_known_map_ends_where_the_robot_is_found_again(map_folder: Path) -> None:
+    """Odometry's errors are learned from then on, and predict the motion."""
+    localising = Slam(resumed=read_session(map_folder), frozen=True, start=np.zeros(3))
+    slipped, begin = list[bool](), LATER + 16.0
+    for message in drive(2, LATER, 1.0):
+        if message.stamp > LATER + 22.0:
+            break
+        if isinstance(message, Odometry):
+            spun = np.clip(message.stamp - begin, 0.0, 1.0)  # metres that the wheels have spun
+            message = replace(message, pose=message.pose + np.array([spun, 0.0, 0.0]))
+        if not isinstance(message, GroundTruth):
+            localising.add(message)
+            slipped.append(localising.slam_state.slipped)
+    assert any(slipped)
+    assert not slipped[-1]

@@ -23,8 +23,8 @@ from slam.loop_closure.decision import LoopMatch
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
 from slam.mapping.convergence import converge
 from slam.mapping.mapper import Mapper
-from slam.preprocessing.message_check import MessageCheck
 from slam.odometry.systematic_errors import PERFECT
+from slam.preprocessing.message_check import MessageCheck
 from slam.preprocessing.preprocessor import NO_FEATURES
 from slam.preprocessing.scan_sequence import ScanSequence
 
@@ -264,7 +264,9 @@ def test_what_a_drive_through_a_known_map_goes_on_from_is_kept(
     state.odometry_model.begin_drive()
     write_directory(tmp_path / "out", session)
     restored = read_session(tmp_path / "out").slam_state
-    for before, after in zip(*(some.odometry_model.systematic_errors.values for some in (state, restored)), strict=True):
+    for before, after in zip(
+        *(some.odometry_model.systematic_errors.values for some in (state, restored)), strict=True
+    ):
         assert after == before
     tracker = restored.tracker.state
     assert tracker is not None

@@ -145,7 +145,9 @@ def test_another_drive_begins_with_the_errors_of_the_one_before_and_corrects_the
     def drive(length: float, motions: int) -> None:
         for _ in range(motions):
             measured = np.array([random.uniform(0.2, 0.4), 0.0, 0.0])
-            model.add_motion(measured, np.array([(length + random.normal(0.0, 0.03)) * measured[0], 0.0, 0.0]), DETERMINED)
+            model.add_motion(
+                measured, np.array([(length + random.normal(0.0, 0.03)) * measured[0], 0.0, 0.0]), DETERMINED
+            )
 
     drive(1.06, 500)
     before = model.systematic_errors
