@@ -89,10 +89,10 @@ def contradicting_passes(drive: Drive) -> Iterator[Suspect]:
         worst = int(group[np.argmax(share[group])])
         earlier = drive.stamps[min(int(np.searchsorted(travelled, found.earlier[worst])), len(drive) - 1)]
         seen_through, crossing = (100 * part[worst] / common[worst] for part in (found.seen_through, found.crossing))
+        before = f"around {elapsed(earlier - drive.start)}" if earlier >= drive.start else "of an earlier session"
         text = (
-            f"the map does not fit together: {seen_through:.0f} % of the scan's points are where the scans around "
-            f"{elapsed(earlier - drive.start)} saw through, and {crossing:.0f} % of its sight lines cross walls of "
-            "earlier passes"
+            f"the map does not fit together: {seen_through:.0f} % of the scan's points are where the scans {before} "
+            f"saw through, and {crossing:.0f} % of its sight lines cross walls of earlier passes"
         )
         weight = float(share[group].sum()) / (MIN_SCANS * MAX_CONTRADICTION)
         first, last = float(drive.stamps[group[0]]), float(drive.stamps[group[-1]])

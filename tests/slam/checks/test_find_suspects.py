@@ -196,6 +196,8 @@ def test_a_wrong_loop_correction_is_found_where_a_place_is_seen_again() -> None:
     assert match is not None
     first, last = sorted((found[0].stamp, parse_elapsed(match[1])))
     assert first < 0.5 * drive.stamps[-1] < last
+    continued = replace(with_path(drive, bent), start=0.9 * drive.stamps[-1])  # only the end is of this session
+    assert any("where the scans of an earlier session saw through" in one.text for one in find_suspects(continued))
 
 
 @pytest.mark.parametrize("relocalised", [True, False])
