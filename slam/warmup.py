@@ -17,6 +17,7 @@ from drivers import se2
 from drivers.messages import Odometry, Scan
 from drivers.simulation import warm_up as warm_up_simulation
 from drivers.timing.floor import warm_up as warm_up_floor
+from drivers.timing.own_returns import warm_up as warm_up_own_returns
 from drivers.timing.scan_matching import warm_up as warm_up_timing
 
 from .checks.adapter import drive_of
@@ -126,6 +127,7 @@ def compile_preprocessing() -> None:
     warm_up_simulation()
     warm_up_timing()
     warm_up_floor()
+    warm_up_own_returns()
 
 
 def compile_estimation() -> None:

@@ -35,9 +35,11 @@ class RecordingReader(SurveyedRecording):
         """Yield the messages from the beginning, with non-decreasing stamps."""
         frozen, speed = FrozenOdometryDetector(), OdometrySpeed()
         times = self.beam_times
-        reason, gyroscope, floor = self.reason_to_mirror, self.gyroscope_scale, self.floor
-        messages = self._first_or_new_messages()
+        reason, own, gyroscope, floor = self.reason_to_mirror, self.own_returns, self.gyroscope_scale, self.floor
+        messages = self._of_others(self._first_or_new_messages())
         report = self.report
+        if own is not None:
+            self.interpret(f"{own}; they are left out")
         if reason is not None:
             self.interpret(reason)
             messages = self._mirrored(messages)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from ..timing.floor import Floor
     from ..timing.gyroscope_scale import GyroscopeScale
     from ..timing.mount_heading import MountHeading
+    from ..timing.own_returns import OwnReturns
     from ..timing.turns import Turns
     from ..timing.upside_down import OdometryTurns
 
@@ -90,10 +91,10 @@ class SurveyedRecording(ABC):
 
     @cached_property
     def odometry_turns(self) -> OdometryTurns | None:
-        """Comparison of the turns of odometry with those of the scans as recorded; None if they do not show any."""
+        """Comparison of the turns of odometry with those of the scans, not mirrored; None if they do not show any."""
         from ..timing.upside_down import compare_odometry_turns
 
-        return compare_odometry_turns(self._turns_as_recorded)
+        return compare_odometry_turns(self._turns_of_others)
 
     @cached_property
     def reason_to_mirror(self) -> str | None:
@@ -101,7 +102,7 @@ class SurveyedRecording(ABC):
 
         They are if no mount states whether the lidar is upside down, and odometry shows that it is.
         """
-        if self._turns_as_recorded.mount is not None or self.odometry_turns is None:
+        if self._turns_of_others.mount is not None or self.odometry_turns is None:
             return None
         return self.odometry_turns.reason_to_mirror()
 
@@ -164,20 +165,38 @@ class SurveyedRecording(ABC):
         """
         return None if self.doubt_of_odometry_turns is not None else self._turns.floor
 
+    @property
+    def own_returns(self) -> OwnReturns | None:
+        """Returns from the robot itself, in scans as recorded; None if there are none, or the recording shows none."""
+        return self._turns_as_recorded.own_returns
+
     @cached_property
     def _turns(self) -> Turns:
         """What is known of the whole recording before it is read: collected once, as that takes as long as reading."""
         from ..timing.turns import Turns
 
         if self.reason_to_mirror is None:
-            return self._turns_as_recorded
-        return Turns(self._mirrored(self._survey_messages()))
+            return self._turns_of_others
+        return Turns(self._mirrored(self._of_others(self._survey_messages())))
+
+    @cached_property
+    def _turns_of_others(self) -> Turns:
+        """The same with scans that are not mirrored."""
+        from ..timing.turns import Turns
+
+        return self._turns_as_recorded if self.own_returns is None else Turns(self._of_others(self._survey_messages()))
 
     @cached_property
     def _turns_as_recorded(self) -> Turns:
+        """The same with scans as they are recorded, which may show the robot itself."""
         from ..timing.turns import Turns
 
         return Turns(self._survey_messages())
+
+    def _of_others(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield messages with scans without returns from the robot itself."""
+        own = self.own_returns
+        return (own.left_out(m) if own is not None and isinstance(m, Scan) else m for m in messages)
 
     @staticmethod
     def _mirrored(messages: Iterable[Message]) -> Iterator[Message]:

@@ -21,7 +21,6 @@ where this floor cannot be, agree better with the scan before if the robot has n
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +28,7 @@ import numpy as np
 from .. import se2
 from ..compiled import compiled, inlined
 from ..immutable import immutable
-from ..messages import Floats, Message, Odometry, Scan, SourceReport
+from ..messages import Floats, Message, Odometry, Scan
 from .student import ERROR_PROBABILITY
 
 # Radians of a turn between two scans that are compared. Origin: chosen; a wall's line then leaves the tolerance within
@@ -170,20 +169,6 @@ class FloorDetector:
             bearing=float(se2.wrap(bearing * 2.0 * math.pi / BINS)),
             scans=int(self._supports[direction, line]),
         )
-
-
-def watched(messages: Iterable[Message], report: SourceReport, range_max: float) -> Iterator[Message]:
-    """Yield messages of a source that cannot look ahead, and report the floor as a doubt after the last one.
-
-    range_max  metres; a floor that is farther away is none
-    """
-    detector = FloorDetector()
-    for message in messages:
-        detector.add(message)
-        yield message
-    floor = detector.found()
-    if floor is not None and floor.distance < range_max:
-        report.doubts.append(f"{floor}; mount it level, or set lidar.range_max={floor.safe_range:.1f}")
 
 
 def warm_up() -> None:

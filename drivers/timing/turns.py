@@ -13,6 +13,7 @@ from .. import se2
 from ..messages import Floats, Message, Odometry, Scan, YawRate
 from .beam_times import BeamTimes
 from .floor import Floor, FloorDetector
+from .own_returns import OwnReturns, OwnReturnsDetector
 from .scan_matching import find_rotation, match, middle_offset, scan_points, surface
 
 # Seconds of a part of a drive. Origin: chosen, a turn with what is before and after it; not measured.
@@ -78,6 +79,7 @@ class Turns:
     mount        pose of the lidar on the robot that the first scan states; None if it states none
     scan_period  median seconds from scan to scan; 0 without two scans
     floor        the floor, if the lidar sees it in the drive
+    own_returns  returns from the robot itself, if there are any
     """
 
     def __init__(self, messages: Iterable[Message]) -> None:
@@ -87,9 +89,10 @@ class Turns:
         part, end, last = _Part(), -np.inf, -np.inf
         stamps: list[float] = []
         self.mount: se2.Pose | None = None
-        detector = FloorDetector()
+        floors, own = FloorDetector(), OwnReturnsDetector()
         for message in messages:
-            detector.add(message)
+            floors.add(message)
+            own.add(message)
             if isinstance(message, Scan):
                 self.mount = self.mount if stamps else message.mount
                 stamps.append(message.stamp)
@@ -111,7 +114,8 @@ class Turns:
                 if not readings:
                     part.slowest, part.fastest = min(part.slowest, message.rate), max(part.fastest, message.rate)
         self._keep(part, measured=bool(readings or rates))
-        self.floor: Floor | None = detector.found()
+        self.floor: Floor | None = floors.found()
+        self.own_returns: OwnReturns | None = own.found()
         self.scans = len(stamps)
         self.scan_period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
         self.rates = np.array(rates).reshape(-1, 2)

@@ -16,7 +16,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Message
-from drivers.timing.floor import watched
+from drivers.timing.watched_view import watched
 
 from ..config import Config, config_to_toml
 from ..errors import MapError
@@ -103,7 +103,8 @@ def run_slam(
                 saving.enter_context(autosave)
                 saving.enter_context(modes.begin(slam, keys))
                 saving.enter_context(keys)
-                messages = watched(messages, run_input.report, setup.config.lidar.range_max)
+                lidar = setup.config.lidar
+                messages = watched(messages, run_input.report, (lidar.range_min, lidar.range_max))
             after = -np.inf if setup.resumed is None else setup.resumed.latest
             finished, busy = process_messages(_shifted(messages, after, statistics), slam, statistics, run_input.name)
             saving.close()

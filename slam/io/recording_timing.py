@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from drivers.timing.delay import Delay
     from drivers.timing.floor import Floor
     from drivers.timing.mount_heading import MountHeading
+    from drivers.timing.own_returns import OwnReturns
 
     from ..config import Config, LidarConfig
 
@@ -36,6 +37,7 @@ class RecordingTiming:
                     states one
     turn_doubts     what is probably wrong with the turns of odometry, as lines of text
     floor           the floor that the lidar sees, whose returns are left out when the recording is read; None if none
+    own_returns     returns from the robot itself, which are left out likewise; None if none
     """
 
     beam_times: BeamTimes = STATED
@@ -46,6 +48,7 @@ class RecordingTiming:
     stated_mount: tuple[float, float, float] | None = None
     turn_doubts: tuple[str, ...] = ()
     floor: Floor | None = None
+    own_returns: OwnReturns | None = None
 
     @classmethod
     def of(cls, source: Source, lidar: LidarConfig | None = None) -> RecordingTiming:
@@ -72,12 +75,12 @@ class RecordingTiming:
             heading = None
         turns = reader.odometry_turns
         doubts = () if turns is None else tuple(turns.doubts(corrected=reader.reason_to_mirror is not None))
-        floor = reader.floor
-        if set_delay is not None:
-            return cls(reader.beam_times, test, None, set_delay, heading, mount, doubts, floor)
-        delay = reader.delay
-        used = delay.seconds if delay is not None and delay.objection is None else 0.0
-        return cls(reader.beam_times, test, delay, used, heading, mount, doubts, floor)
+        delay, used = None, set_delay
+        if used is None:
+            delay = reader.delay
+            used = delay.seconds if delay is not None and delay.objection is None else 0.0
+        seen = reader.floor, reader.own_returns
+        return cls(reader.beam_times, test, delay, used, heading, mount, doubts, *seen)
 
     @property
     def used_heading(self) -> float | None:
@@ -135,6 +138,8 @@ class RecordingTiming:
             settings.append(f"lidar.mount=[0,0,{self.used_heading:z.4f}]")
         if self.floor is not None:
             settings.append(f"lidar.range_max={self.floor.safe_range:.1f}")
+        if self.own_returns is not None:
+            settings.append(f"lidar.range_min={self.own_returns.safe_range:.1f}")
         return settings
 
     def corrections(self) -> list[str]:

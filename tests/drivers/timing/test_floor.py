@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,73 +12,16 @@ from typer.testing import CliRunner
 
 import drivers
 from drivers import se2
-from drivers.messages import Floats, Message, Odometry, Scan, SourceReport
+from drivers.messages import Floats, Odometry, Scan, SourceReport
 from drivers.recordings.mcap import McapWriter
-from drivers.timing.floor import Floor, FloorDetector, watched
+from drivers.timing.floor import Floor, FloorDetector
+from drivers.timing.watched_view import watched
 from slam.cli.app import app
 from slam.cli.run_input import RecordingInput
 from slam.config import Config
 from slam.io.recording_timing import RecordingTiming
 
-ANGLES = np.radians(np.arange(-180.0, 180.0) + 0.4)  # none parallel to a wall, where a distance would be infinite
-RANGE_MAX = 12.0
-MOUNT = np.array([0.1, 0.0, 0.0])
-World = Callable[[Floats], Floats]
-"""Function of a lidar's pose (3,) that returns the range in each of ANGLES, infinite where there is nothing."""
-
-
-def room(width: float, depth: float) -> World:
-    """Return a rectangular room around the origin."""
-
-    def ranges(pose: Floats) -> Floats:
-        x, y = np.cos(pose[2] + ANGLES), np.sin(pose[2] + ANGLES)
-        to_sides = (np.where(x > 0.0, width / 2, -width / 2) - pose[0]) / x
-        to_ends = (np.where(y > 0.0, depth / 2, -depth / 2) - pose[1]) / y
-        return np.asarray(np.minimum(to_sides, to_ends))
-
-    return ranges
-
-
-def round_room(radius: float) -> World:
-    """Return a round room around the origin."""
-
-    def ranges(pose: Floats) -> Floats:
-        directions = np.column_stack([np.cos(pose[2] + ANGLES), np.sin(pose[2] + ANGLES)])
-        along = -directions @ pose[:2]
-        return np.asarray(along + np.sqrt(along**2 + radius**2 - pose[:2] @ pose[:2]))
-
-    return ranges
-
-
-def seeing_line(world: World, distance: float, bearing: float, width: float = np.pi, nodding: float = 0.0) -> World:
-    """Return a world with a line that is fixed in the lidar's frame, seen up to `width` to both sides of `bearing`.
-
-    nodding  standard deviation of its distance from scan to scan, as a part of it
-    """
-    random = np.random.default_rng(1)
-
-    def ranges(pose: Floats) -> Floats:
-        aside = se2.wrap(ANGLES - bearing)
-        reach = distance * (1.0 + nodding * random.standard_normal()) / np.cos(aside)
-        return np.minimum(world(pose), np.where((reach > 0.0) & (np.abs(aside) < width), reach, np.inf))
-
-    return ranges
-
-
-def spinning(turns: float = 2.0) -> Floats:
-    """Return the path (n, 3) of a robot that turns on the spot."""
-    headings = np.arange(0.0, 2.0 * np.pi * turns, np.radians(5.0))
-    return np.column_stack([np.full((len(headings), 2), [0.3, -0.2]), headings])
-
-
-def drive(world: World, path: Floats, range_max: float = RANGE_MAX) -> Iterator[Message]:
-    """Yield the messages on a path through a world, with 1 % noise of the ranges."""
-    random, zeros = np.random.default_rng(0), np.zeros(len(ANGLES))
-    for number, pose in enumerate(path):
-        yield Odometry(0.1 * number, pose)
-        ranges = world(se2.compose(pose, MOUNT)) * (1.0 + 0.01 * random.standard_normal(len(ANGLES)))
-        ranges[ranges > range_max] = np.nan
-        yield Scan(0.1 * number, ranges, ANGLES, zeros, 0.1, range_max, MOUNT)
+from .room_views import ANGLES, RANGE_MAX, World, drive, room, round_room, seeing_line, spinning
 
 
 def found(world: World, path: Floats, range_max: float = RANGE_MAX) -> Floor | None:
@@ -185,7 +127,7 @@ def test_info_and_a_run_state_the_floor_and_its_cure(recording: Path) -> None:
 @pytest.mark.parametrize(("range_max", "doubts"), [(60.0, 1), (4.2, 0)])
 def test_the_floor_is_a_doubt_live_unless_it_is_out_of_range(range_max: float, doubts: int) -> None:
     messages, report = list(drive(seeing_line(room(30.0, 20.0), 4.6, 0.0), spinning())), SourceReport()
-    for passed_on, message in zip(watched(messages, report, range_max), messages, strict=True):
+    for passed_on, message in zip(watched(messages, report, (0.0, range_max)), messages, strict=True):
         assert passed_on is message
     assert len(report.doubts) == doubts
     assert all(re.search(r"mount it level, or set lidar\.range_max=4\.[1-4]$", doubt) for doubt in report.doubts)

@@ -1,0 +1,26 @@
+"""Watch what is in the view of a lidar of which nothing is known beforehand, as in a live run: the floor, the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from ..messages import Message, SourceReport
+from .floor import FloorDetector
+from .own_returns import OwnReturnsDetector
+
+
+def watched(messages: Iterable[Message], report: SourceReport, limits: tuple[float, float]) -> Iterator[Message]:
+    """Yield messages of a source that cannot look ahead, and report as doubts that the floor or the robot is in view.
+
+    limits  metres between which ranges are used; what is nearer or farther away does no harm
+    """
+    floors, own = FloorDetector(), OwnReturnsDetector()
+    for message in messages:
+        floors.add(message)
+        own.add(message)
+        yield message
+    floor, robot = floors.found(), own.found()
+    if floor is not None and floor.distance < limits[1]:
+        report.doubts.append(f"{floor}; mount it level, or set lidar.range_max={floor.safe_range:.1f}")
+    if robot is not None and robot.farthest > limits[0]:
+        report.doubts.append(f"{robot}; set lidar.range_min={robot.safe_range:.1f}")
