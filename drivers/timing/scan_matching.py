@@ -130,7 +130,8 @@ def find_rotation(scan: Scan, reference: Scan) -> float:
 def _mean_differences(ranges, of_reference):  # type: ignore[no-untyped-def]
     """Return the mean differences (2 MAX_ROTATION_STEPS + 1,) of two range profiles (b,), one turned bin by bin.
 
-    A difference counts as MAX_RANGE_STEP at most, and not at all where one of the scans has no return.
+    A difference counts as MAX_RANGE_STEP at most, and not at all where one of the scans has no return. It is infinite
+    if there is no direction in which both have one.
     """
     bins, means = len(ranges), np.empty(2 * MAX_ROTATION_STEPS + 1)
     for k in range(len(means)):
@@ -142,7 +143,7 @@ def _mean_differences(ranges, of_reference):  # type: ignore[no-untyped-def]
             if not math.isnan(difference):
                 total += min(difference, MAX_RANGE_STEP)
                 known += 1
-        means[k] = total / max(known, 1)
+        means[k] = total / known if known > 0 else np.inf
     return means
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.messages import Floats
-from drivers.timing.scan_matching import MAX_REFERENCE_POINTS, match, surface
+from drivers.messages import Floats, Scan
+from drivers.timing.scan_matching import BIN, MAX_REFERENCE_POINTS, find_rotation, match, surface
 
 SIZE = np.array([8.0, 5.0])
 """Metres, sides of the room."""
@@ -30,3 +30,18 @@ def test_many_beams_need_no_more_points_and_give_the_same_motion(beams: int) -> 
     found = match(room(beams, after), reference, np.zeros(3))
     assert found is not None
     assert np.abs(se2.between(before, after) - found.pose).max() < 1e-3
+
+
+@pytest.mark.parametrize("turn", [-0.2, 0.0, 0.16])
+@pytest.mark.parametrize("view", [0.5, 1.0, 2 * np.pi])
+def test_scans_that_have_nothing_in_common_do_not_agree(view: float, turn: float) -> None:
+    """As those of a depth camera that is turned by more than its view."""
+
+    def scan(heading: float) -> Scan:
+        points = room(720, np.array([3.0, 2.0, heading]))
+        angles = np.arctan2(points[:, 1], points[:, 0])
+        seen = np.flatnonzero(np.abs(angles) <= 0.5 * view)
+        seen = seen[np.argsort(angles[seen])]
+        return Scan(0.0, np.hypot(*points[seen].T), angles[seen], np.zeros(len(seen)), 0.0, np.inf)
+
+    assert find_rotation(scan(0.5 + turn), scan(0.5)) == pytest.approx(turn, abs=2 * BIN)
