@@ -24,7 +24,7 @@ from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
 from ..matching.offset_tiles import FIELD_CELL, MAX_DISTANCE
-from ..matching.point_costs import points_cost
+from ..matching.point_costs import UNSEEN, costs_of_points, points_cost
 from ..matching.scan_points import COLUMNS, lines_of
 from .map_descriptor import MapDescriptor
 from .map_index import MapIndex, index_map
@@ -148,7 +148,7 @@ def scan_map(
     field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + MAX_DISTANCE)
     field.insert_scans(poses, points)
     grid = _CellGrid.of(low, high, cell)
-    return ScannedMap(index, field, grid.sort(thin(moved), np.zeros(3), index.descriptor), grid.count)
+    return ScannedMap(index, field, grid.sort(_at_rest(moved, field), np.zeros(3), index.descriptor), grid.count)
 
 
 def scan_keyframes(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.bool_]) -> ScannedMap:
@@ -168,7 +168,7 @@ def scan_submap(
     farthest = [np.hypot(own[:, 0], own[:, 1]).max(initial=0.0) for own in points]
     reach = min(MAX_REACH, float(np.max(np.hypot(relative[:, 0], relative[:, 1]) + farthest)))
     built = build_submap(relative, points, reach + MAX_DISTANCE)
-    return SubmapScan(keyframes, descriptor, thin(built.points), built.field, reach)
+    return SubmapScan(keyframes, descriptor, _at_rest(built.points, built.field), built.field, reach)
 
 
 def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDENCE_CELL) -> ScannedDrive:
@@ -186,6 +186,15 @@ def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDEN
 def are_on_walls(count: int) -> NDArray[np.bool_]:
     """Return (count,) which of the cells of a map, by their numbers, have the points on long walls."""
     return np.asarray(np.arange(count) % 2 == 1)
+
+
+def _at_rest(points: Floats, field: DistanceField) -> Floats:
+    """Return the points (p, 6), thinned, without those that did not enter their field.
+
+    These appeared in free space, where no other scan has seen them: people around the robot are no part of the place.
+    """
+    thinned = np.ascontiguousarray(thin(points))
+    return thinned[costs_of_points(field.arrays, thinned, np.zeros(3)) < UNSEEN]
 
 
 def thin(points: Floats) -> Floats:

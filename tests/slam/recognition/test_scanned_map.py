@@ -1,4 +1,4 @@
-"""A known map is searched in bounded memory, wherever its keyframes are."""
+"""A known map is searched in bounded memory, wherever its keyframes are, and without what moved in it."""
 
 from __future__ import annotations
 
@@ -34,3 +34,19 @@ def test_a_keyframe_that_is_far_away_needs_no_memory_for_the_space_between() -> 
 
 def test_all_of_a_large_building_is_searched() -> None:
     assert scanned([[0.0, 0.0], [1500.0, 0.0]]).seen_area == 2.0 * scanned([[0.0, 0.0]]).seen_area
+
+
+def test_people_who_walk_past_are_no_part_of_the_place() -> None:
+    """Each is in one scan only, where other scans see the wall behind."""
+    angles = np.linspace(-1.0, 1.0, 200)
+    wall = np.column_stack([np.full(200, 5.0), 5.0 * np.tan(angles)])
+    poses = np.column_stack([np.zeros(6), 0.3 * np.arange(6), np.zeros(6)])
+    scans = []
+    for k, pose in enumerate(poses):
+        points = wall - pose[:2]
+        if k >= 2:
+            points[60 + 10 * k : 70 + 10 * k] *= 0.5
+        scans.append(np.column_stack([points, np.tile([-1.0, 0.0, 0.0, 1.0], (200, 1))]))
+    found = scan_map(index_map(Mapper()), poses, scans).points.points
+    assert np.unique(found[:, 0].round(3)).tolist() == [5.0]
+    assert len(found) > 50
