@@ -94,7 +94,7 @@ class SurveyedRecording(ABC):
         """Comparison of the turns of odometry with those of the scans, not mirrored; None if they do not show any."""
         from ..timing.upside_down import compare_odometry_turns
 
-        return compare_odometry_turns(self._turns_of_others)
+        return compare_odometry_turns(self._turns_without_own_returns)
 
     @cached_property
     def reason_to_mirror(self) -> str | None:
@@ -102,7 +102,7 @@ class SurveyedRecording(ABC):
 
         They are if no mount states whether the lidar is upside down, and odometry shows that it is.
         """
-        if self._turns_of_others.mount is not None or self.odometry_turns is None:
+        if self._turns_without_own_returns.mount is not None or self.odometry_turns is None:
             return None
         return self.odometry_turns.reason_to_mirror()
 
@@ -176,15 +176,19 @@ class SurveyedRecording(ABC):
         from ..timing.turns import Turns
 
         if self.reason_to_mirror is None:
-            return self._turns_of_others
-        return Turns(self._mirrored(self._of_others(self._survey_messages())))
+            return self._turns_without_own_returns
+        return Turns(self._mirrored(self._without_own_returns(self._survey_messages())))
 
     @cached_property
-    def _turns_of_others(self) -> Turns:
+    def _turns_without_own_returns(self) -> Turns:
         """The same with scans that are not mirrored."""
         from ..timing.turns import Turns
 
-        return self._turns_as_recorded if self.own_returns is None else Turns(self._of_others(self._survey_messages()))
+        return (
+            self._turns_as_recorded
+            if self.own_returns is None
+            else Turns(self._without_own_returns(self._survey_messages()))
+        )
 
     @cached_property
     def _turns_as_recorded(self) -> Turns:
@@ -193,7 +197,7 @@ class SurveyedRecording(ABC):
 
         return Turns(self._survey_messages())
 
-    def _of_others(self, messages: Iterable[Message]) -> Iterator[Message]:
+    def _without_own_returns(self, messages: Iterable[Message]) -> Iterator[Message]:
         """Yield messages with scans without returns from the robot itself."""
         own = self.own_returns
         return (own.left_out(m) if own is not None and isinstance(m, Scan) else m for m in messages)

@@ -194,7 +194,7 @@ def _at_rest(points: Floats, field: DistanceField) -> Floats:
     These appeared in free space, where no other scan has seen them: people around the robot are no part of the place.
     """
     thinned = np.ascontiguousarray(thin(points))
-    return thinned[costs_of_points(field.arrays, thinned, np.zeros(3)) < UNSEEN]
+    return np.asarray(thinned[costs_of_points(field.arrays, thinned, np.zeros(3)) < UNSEEN])
 
 
 def thin(points: Floats) -> Floats:
