@@ -100,8 +100,8 @@ def middle_offset(scan: Scan) -> float:
     return 0.5 * float(offsets.max() + offsets.min()) if len(offsets) else 0.0
 
 
-def surface(points: Floats) -> Surface | None:
-    """Return points on smooth surfaces, of points (n, 2) ordered by bearing; None if they are too few.
+def surface(points: Floats, least: int = MIN_CORRESPONDENCES) -> Surface | None:
+    """Return points on smooth surfaces, of points (n, 2) ordered by bearing; None if they are fewer than `least`.
 
     Of more than MAX_REFERENCE_POINTS, every second, third, ... is returned.
     """
@@ -112,7 +112,7 @@ def surface(points: Floats) -> Surface | None:
     sagitta = np.abs(((points - before) * normals).sum(axis=1))
     smooth = (length < SCALE + MAX_RANGE_STEP * distance) & (sagitta < SCALE)
     smooth[:NORMAL_SPAN] = smooth[-NORMAL_SPAN:] = False
-    if np.count_nonzero(smooth) < MIN_CORRESPONDENCES:
+    if np.count_nonzero(smooth) < least:
         return None
     rows = np.flatnonzero(smooth)
     rows = rows[:: -(-len(rows) // MAX_REFERENCE_POINTS)]
@@ -177,6 +177,12 @@ def match(points: Floats, reference: Surface, guess: se2.Pose) -> Match | None:
     unmatched = math.log1p((LAST_REACH / SCALE) ** 2) * (len(points) - found)
     covariance = np.linalg.inv(information + REGULARISATION)
     return Match(pose, math.sqrt(variance * covariance[2, 2]), (loss + unmatched) / len(points))
+
+
+def surface_loss(points: Floats, reference: Surface, reach: float) -> tuple[float, int]:
+    """Return the negative log-likelihood of the points (n, 2) within `reach` metres of a surface, and their number."""
+    equations = _normal_equations(points, reference.points, reference.normals, reference.order, np.zeros(3), reach)
+    return equations[5], equations[2]
 
 
 @compiled

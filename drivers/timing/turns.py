@@ -157,10 +157,15 @@ class Turns:
         return float(np.median(values)) if values else 0.0
 
     @cached_property
+    def collected(self) -> list[Scan]:
+        """Scans of the collected parts, in time order."""
+        parts = sorted(self._parts, key=lambda one: one.scans[0].stamp)
+        return [scan for part in parts for scan in part.scans]
+
+    @cached_property
     def runs(self) -> list[Run]:
         """Runs of matched scans in the collected parts, in time order."""
-        parts = sorted(self._parts, key=lambda one: one.scans[0].stamp)
-        return _matched_runs([scan for part in parts for scan in part.scans])
+        return _matched_runs(self.collected)
 
 
 def _latest_rate(readings: list[tuple[float, float, float, float]]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from functools import cache
 
@@ -37,6 +38,17 @@ def with_late_scans(drive: tuple[Message, ...], seconds: float) -> list[Message]
     """Return the drive with the stamps of scans moved, in time order."""
     moved = [replace(m, stamp=m.stamp + seconds) if isinstance(m, Scan) else m for m in drive]
     return sorted(moved, key=lambda message: message.stamp)
+
+
+def with_few_returns(drive: Iterable[Message], every: int = 4, reach: float = 1.5) -> list[Message]:
+    """Return the drive with a lidar that sees `reach` metres far, with one of so many beams: some 30 returns a scan."""
+    few: list[Message] = []
+    for message in drive:
+        if isinstance(message, Scan):
+            seen = (message.ranges < reach) & (np.arange(len(message.ranges)) % every == 0)
+            message = replace(message, ranges=np.where(seen, message.ranges, np.nan))
+        few.append(message)
+    return few
 
 
 def with_turned_lidar(drive: tuple[Message, ...], heading: float) -> list[Message]:

@@ -15,7 +15,7 @@ from drivers.timing.delay import estimate_delay
 from drivers.timing.turns import Turns
 
 from ...recordings import dataset_file
-from .drives import office_drive, with_late_scans
+from .drives import office_drive, with_few_returns, with_late_scans
 
 
 @pytest.mark.parametrize(("seed", "seconds"), [(0, 0.0), (0, 0.05), (1, -0.3), (1, 0.5)])
@@ -25,6 +25,44 @@ def test_known_delay_is_found_within_three_standard_deviations(seed: int, second
     assert abs(delay.seconds - seconds) < 3.0 * delay.sigma
     assert delay.sigma < 0.02
     assert (delay.objection is None) == (abs(seconds) > 0.1)  # less is not significant
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_delay_is_found_where_most_scans_have_too_few_returns_to_be_matched(seed: int) -> None:
+    late = with_few_returns(with_late_scans(office_drive(seed, 30.0), 0.35))
+    turns = Turns(late)
+    assert sum(len(run.scans) for run in turns.runs) < 0.4 * turns.scans
+    delay = estimate_delay(turns)
+    assert delay is not None
+    assert delay.objection is None
+    assert abs(delay.seconds - 0.35) < 3.0 * delay.sigma
+    assert delay.sigma < 0.05
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.3])
+@pytest.mark.parametrize("world", ["square", "equal_doors"])
+def test_straight_corridor_with_few_turns_does_not_determine_a_delay(world: str, seconds: float) -> None:
+    drive = tuple(drivers.open(f"sim:{world}?duration=45&lidar=short"))
+    assert estimate_delay(Turns(with_late_scans(drive, seconds))) is None
+
+
+def test_scans_without_surfaces_do_not_determine_a_delay() -> None:
+    scattered = with_few_returns(office_drive(0, 30.0), every=6, reach=2.0)
+    assert not Turns(scattered).runs
+    assert estimate_delay(Turns(scattered)) is None
+
+
+@pytest.mark.parametrize("seconds", [1.1, 1.3])
+def test_delay_beyond_those_that_are_tried_is_not_taken_for_a_shorter_one(seconds: float) -> None:
+    assert estimate_delay(Turns(with_few_returns(with_late_scans(office_drive(0, 30.0), seconds)))) is None
+
+
+def test_delay_of_a_drive_that_is_mostly_straight_is_compensated() -> None:
+    """The typical error of the turns from scan to scan is that of scan matching, which a delay does not change."""
+    drive = tuple(drivers.open("sim:equal_offices?duration=45&lidar=short&seed=2"))
+    delay = estimate_delay(Turns(with_late_scans(drive, 0.3)))
+    assert delay is not None
+    assert delay.objection is None
 
 
 def test_gaps_of_the_odometry_do_not_hide_a_delay() -> None:
