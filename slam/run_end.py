@@ -76,11 +76,6 @@ def settle_trajectory(state: SlamState, journal: Journal, publisher: Publisher, 
     summary = _refine_or_match(state, journal, history, publisher, refined=refined)
     return_freed_memory()  # of the matches, else what is written would add to it
     bends, delay = settle_wall_bends(state.mapper, history), _find_scan_delay(state, journal)
-    stamps = np.array([scan.stamp for scan in journal.scans])
-    if delay is not None and len(stamps) > 1:
-        text = delay.warning(float(np.median(np.diff(stamps))), state.config.lidar.delay or 0.0)
-        if text is not None:
-            publisher.publish(Notice(float(stamps[-1]), text))
     return summary | {"wall_bends": bends, "scan_delay": None if delay is None else delay.row()}
 
 

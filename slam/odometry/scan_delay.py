@@ -21,7 +21,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.timing.robust_weights import ROBUST_SIGMAS
-from features.normal_limits import GROSS_LIMIT, NORMAL_LIMIT
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats
 from .error_model import OdometryModel
@@ -48,20 +48,6 @@ class ScanDelay:
     def significant(self) -> bool:
         """True if clocks that agree would show such a delay in 0.3 % of drives."""
         return abs(self.seconds) > NORMAL_LIMIT * self.sigma
-
-    def warning(self, period: float, compensated: float) -> str | None:
-        """Return that the delay should be compensated, as text; None if that is not certain, or changes little.
-
-        It changes little if odometry is nearer in time to the scan that it belongs to than to the next one.
-
-        period       seconds from scan to scan
-        compensated  delay that is compensated already, seconds
-        """
-        if abs(self.seconds) < max(GROSS_LIMIT * self.sigma, 0.5 * period):
-            return None
-        side, total = "early" if self.seconds < 0.0 else "late", compensated + self.seconds
-        text = f"scans are stamped {abs(self.seconds):.2f} ± {self.sigma:.2f} s {side} against odometry"
-        return f"{text}; --set lidar.delay={total:.2f} compensates it in the next run"
 
     def row(self) -> dict[str, object]:
         """Return the delay as plain data."""

@@ -1,17 +1,10 @@
 """The delay of scans against odometry is found where the robot's velocity changes, with its standard deviation."""
 
-import re
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-import drivers
 from drivers import se2
-from drivers.messages import Scan
-from slam import Slam
-from slam.config import Config, OdometryConfig
-from slam.events import EventRecorder, Notice
+from slam.config import OdometryConfig
 from slam.geometry.segments import Floats
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.history import OdometryHistory
@@ -78,26 +71,3 @@ def test_a_single_keyframe_says_nothing() -> None:
     history = OdometryHistory.from_arrays(np.array([0.0, 1.0]), np.zeros((2, 3)))
     found = estimate_scan_delay(np.zeros(1), np.zeros((1, 3)), history, OdometryModel(OdometryConfig()))
     assert found == ScanDelay(0.0, PRIOR_SIGMA)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "sigma", "named"), [(0.3, 0.02, True), (-0.3, 0.02, True), (0.3, 0.07, False), (0.08, 0.002, False)]
-)
-def test_a_delay_is_named_if_it_is_certain_and_longer_than_half_the_time_between_scans(
-    seconds: float, sigma: float, named: bool
-) -> None:
-    assert (ScanDelay(seconds, sigma).warning(0.2, 0.0) is not None) == named
-
-
-@pytest.mark.parametrize(("late", "compensated"), [(0.0, 0.0), (0.3, 0.0), (0.3, 0.3), (0.4, 0.1)])
-def test_a_run_names_the_setting_that_compensates_the_whole_delay(late: float, compensated: float) -> None:
-    listener, config = EventRecorder(), Config()
-    slam = Slam(
-        config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": compensated})}), sinks=[listener]
-    )
-    for message in drivers.open("sim:office?duration=20&lidar=short&seed=0"):
-        slam.add(replace(message, stamp=message.stamp + late) if isinstance(message, Scan) else message)
-    slam.finish()
-    settings = [re.search(r"--set lidar.delay=(\S+)", notice.text) for notice in listener.of(Notice)]
-    named = [float(found[1]) for found in settings if found]
-    assert named == ([] if late == compensated else [pytest.approx(late, abs=0.05)])
