@@ -181,7 +181,7 @@ class SurveyedRecording(ABC):
 
     @cached_property
     def _turns_without_own_returns(self) -> Turns:
-        """The same with scans that are not mirrored."""
+        """Turns of the drive by scans without returns from the robot itself, which are not mirrored."""
         from ..timing.turns import Turns
 
         return (
@@ -192,7 +192,7 @@ class SurveyedRecording(ABC):
 
     @cached_property
     def _turns_as_recorded(self) -> Turns:
-        """The same with scans as they are recorded, which may show the robot itself."""
+        """Turns of the drive by scans as they are recorded, which may show the robot itself."""
         from ..timing.turns import Turns
 
         return Turns(self._survey_messages())

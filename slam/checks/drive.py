@@ -30,8 +30,7 @@ class Drive:
     stamps      (n,) seconds
     poses       (n, 3) final poses of the base in the map
     odometry    (n, 3) odometry poses, without systematic errors as far as they are known
-    segment     (n,) number of the odometry segment: odometry is continuous within one, and no scan is left out that was
-                dropped
+    segment     (n,) number of the segment: within one, odometry is continuous and no scan to be checked was dropped
     points      n arrays (p, 2), the valid returns in the base's frame, metres
     deviations  (4,) standard deviations of the random errors of odometry, see `OdometryModel.deviations`
     floors      (2,) standard deviations of a single odometry reading, metres and radians

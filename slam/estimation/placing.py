@@ -45,7 +45,7 @@ def relocalise(state: SlamState, joined: SlamState, odometry: se2.Pose) -> None:
     """Continue where the robot is in a copy of a state, in which it has mapped on and its map was joined.
 
     Its scans are added to the trajectory, unless the robot was carried and has not been recognised between them and
-    now. Odometry's errors are those that it has learned meanwhile. `odometry` is the present pose of odometry.
+    now. The copy takes over the errors of odometry learned meanwhile. `odometry` is the present pose of odometry.
     """
     count = state.mapper.keyframe_count
     old_poses, poses = joined.mapper.keyframe_poses[:count], joined.mapper.keyframe_poses

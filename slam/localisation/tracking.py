@@ -90,8 +90,8 @@ class TrackingResult:
 class PoseFix:
     """Pose of the base in the map, and the odometry pose at the same time.
 
-    covariance  (3, 3) of the pose in the map, in its own frame; zero after a keyframe, since what the map around it is
-                known by is its uncertainty relative to this keyframe
+    covariance  (3, 3) of the pose in the map, in its own frame; zero after a keyframe, as the covariances of the
+                landmarks around it are relative to this keyframe
     """
 
     pose: se2.Pose

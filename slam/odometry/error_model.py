@@ -96,9 +96,10 @@ class OdometryModel:
         self.add_samples(samples)
 
     def begin_drive(self) -> None:
-        """Take what was learned as what is expected of another drive, in which the motions are measured anew.
+        """Begin another drive: the systematic errors learned so far become the mean of the prior.
 
-        Tyres, load and floor may have changed since, or the robot: the errors are as uncertain as before any driving.
+        Its variances are those before any driving, as tyres, load, floor or the robot may have changed. The random
+        errors are learned anew.
         """
         self._expected, self._samples = self._systematic.values, np.zeros((0, 8))
         self._estimate()

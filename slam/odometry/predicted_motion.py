@@ -47,7 +47,7 @@ class PredictedMotionModel(OdometryModel):
         self._floors, self._systematic = INITIAL_FLOORS, SystematicErrors(variances=np.zeros(6))
 
     def begin_drive(self) -> None:
-        """Keep what was learned: it is how robots accelerate, and no wheels have changed."""
+        """Keep the learned errors: they are accelerations of the robot, which do not depend on its wheels."""
 
     def _estimate(self) -> None:
         if not len(self._samples):  # as in a saved model of a robot that stood: the initial errors hold

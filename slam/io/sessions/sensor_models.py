@@ -50,7 +50,7 @@ class SensorModelsRecord(Record):
     def from_models(
         cls, noise: LearnedNoise, odometry: OdometryModel, roughness_samples: Floats, second_noise: LearnedNoise | None
     ) -> SensorModelsRecord:
-        """Make the record from the noise of a ray of each lidar, the second one None if there is none, and the rest."""
+        """Make the record from the models; `second_noise` is None without a second lidar."""
         return cls.model_construct(
             **_values(noise),
             odometry_samples=odometry.samples.tolist(),
