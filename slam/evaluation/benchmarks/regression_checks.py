@@ -14,15 +14,15 @@ import numpy as np
 from features.benchmark.accuracy import COARSE, FINE, METHODS, Level, measure
 from features.benchmark.timing import relative
 
-from .slam_runs import QUICK_WORLDS, RunSpec, run_once, run_timed
+from .slam_runs import QUICK_WORLDS, RunSpec, run_once
 
 CHECKED_SCANS = 100
 """Per noise level."""
 SEEDS = (0, 1, 2)
 REPEATS, MAX_REPEATS = 4, 16
-"""Of a timed run. All are identical, so the fastest time of each message, and of each timing of the reference, counts:
-other programs slow down single ones, not the same ones every time. A run that exceeds its limit is repeated more often:
-load only adds time, and a slower program remains slow."""
+"""Of a timed run. All are identical, and the best counts. Other programs slow down a run and the reference timed during
+it, though not equally and not always: a run that exceeds its limit is repeated more often. A slower program remains
+slow."""
 SECONDS = 20.0
 """Duration of each run."""
 LEVELS = {"fine": Level(0.01, FINE, 0.0), "coarse": Level(0.05, COARSE, 0.0), "outliers": Level(0.01, FINE, 0.01)}
@@ -73,16 +73,13 @@ def run_checks() -> Iterator[Check]:
 
 
 def time_by_reference(spec: RunSpec, limit: float) -> float:
-    """Return the time per scan relative to the reference, by the fastest times of identical runs.
+    """Return the time per scan relative to the reference timed during the same run: the least of identical runs.
 
     There are `REPEATS` runs, and up to `MAX_REPEATS` until the result keeps the limit.
     """
-    fastest, reference, value = np.array(np.inf), np.array(np.inf), np.inf
+    value = np.inf
     for count in range(1, MAX_REPEATS + 1):
-        result, timer = run_timed(spec)
-        fastest = np.minimum(fastest, timer.message_times)
-        reference = np.minimum(reference, timer.reference_times)
-        value = float(fastest.sum() / result.scans / reference.mean())
+        value = min(value, run_once(spec).by_reference)
         if count >= REPEATS and value <= limit:
             break
     return value

@@ -104,11 +104,6 @@ def run_all(specs: Sequence[RunSpec]) -> Iterator[RunFigures]:
 
 def run_once(spec: RunSpec) -> RunFigures:
     """Run SLAM once and score it. Raises RecordingError, MapError."""
-    return run_timed(spec)[0]
-
-
-def run_timed(spec: RunSpec) -> tuple[RunFigures, MessageTimer]:
-    """Run SLAM once and return its result and all measured times. Raises RecordingError, MapError."""
     warm_up()
     slam, timer = Slam(), MessageTimer()
     truth: list[GroundTruth] = []
@@ -128,7 +123,7 @@ def run_timed(spec: RunSpec) -> tuple[RunFigures, MessageTimer]:
         finished = slam.finish()
     path = Trajectory(finished.stamps, finished.poses)
     scored_by, error, median, rotation = _score(spec, path, truth)
-    result = RunFigures(
+    return RunFigures(
         name=spec.name,
         seed=spec.seed,
         scored_by=scored_by,
@@ -146,15 +141,14 @@ def run_timed(spec: RunSpec) -> tuple[RunFigures, MessageTimer]:
         keyframes=len(finished.keyframes),
         closures=_closures(finished),
     )
-    return result, timer
 
 
 class MessageTimer:
-    """Processor times, seconds: of each message in `message_times`, of the reference in `reference_times`."""
+    """Processor times: `total` of all messages, and those of the reference computation between them; seconds."""
 
     def __init__(self) -> None:
-        self.message_times: list[float] = []
-        self.reference_times: list[float] = []
+        self.total = 0.0
+        self._reference_times: list[float] = []
         self._started = 0.0
         self._reference = ReferenceWork()
 
@@ -162,21 +156,16 @@ class MessageTimer:
         self._started = time.process_time()
 
     def __exit__(self, *_: object) -> None:
-        self.message_times.append(time.process_time() - self._started)
+        self.total += time.process_time() - self._started
 
     def time_reference(self) -> None:
         """Time the reference computation once."""
-        self.reference_times.append(self._reference.time_once())
-
-    @property
-    def total(self) -> float:
-        """Total time of all messages, seconds."""
-        return sum(self.message_times)
+        self._reference_times.append(self._reference.time_once())
 
     @property
     def reference(self) -> float:
         """Mean time of the reference computation, seconds."""
-        return float(np.mean(self.reference_times))
+        return float(np.mean(self._reference_times))
 
 
 def _messages(spec: RunSpec) -> Iterator[Message]:

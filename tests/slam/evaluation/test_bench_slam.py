@@ -80,33 +80,29 @@ def test_a_version_may_lack_a_run(tmp_path: Path) -> None:
     assert (tmp_path / "x.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize(("program", "runs", "value"), [(10.0, 4, 10.0), (14.0, 16, 14.0)])
+@pytest.mark.parametrize(
+    ("times", "runs", "value"),
+    [([11.0, 10.0] * 2, 4, 10.0), ([14.0] * 6 + [11.5], 7, 11.5), ([14.0, 15.0] * 8, 16, 14.0)],
+    ids=["idle", "six runs slowed down", "slower program"],
+)
 def test_load_is_no_regression_and_a_slower_program_is(
-    monkeypatch: pytest.MonkeyPatch, program: float, runs: int, value: float
+    monkeypatch: pytest.MonkeyPatch, times: list[float], runs: int, value: float
 ) -> None:
-    """A run of 10 scans: its times in units of the reference, on a machine that delays one message at each run."""
-    made = []
-
-    def run_timed(_: RunSpec) -> Any:
-        timer = SimpleNamespace(message_times=[program] * 10, reference_times=[0.8, 1.2])
-        timer.message_times[len(made) % 10] *= 9.0
-        timer.reference_times[len(made) % 2] *= 9.0
-        made.append(timer)
-        return SimpleNamespace(scans=10), timer
-
-    monkeypatch.setattr(regression_checks, "run_timed", run_timed)
-    assert regression_checks.time_by_reference(RunSpec("room"), 12.0) == pytest.approx(value)
-    assert len(made) == runs
+    """Times of runs in units of the reference timed along with them; the limit is 12."""
+    made = iter(times)
+    monkeypatch.setattr(regression_checks, "run_once", lambda _: SimpleNamespace(by_reference=next(made)))
+    assert regression_checks.time_by_reference(RunSpec("room"), 12.0) == value
+    assert len(list(made)) == len(times) - runs
 
 
-def test_load_that_delays_most_messages_needs_more_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    delayed = iter([*[[30.0] * 10] * 6, [10.0] * 10])
-    monkeypatch.setattr(
-        regression_checks,
-        "run_timed",
-        lambda _: (SimpleNamespace(scans=10), SimpleNamespace(message_times=next(delayed), reference_times=[0.8, 1.2])),
-    )
-    assert regression_checks.time_by_reference(RunSpec("room"), 12.0) == pytest.approx(10.0)
+def test_the_reference_is_timed_during_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A processor that takes twice as long for everything gives the same ratio."""
+    clock = iter(range(10**9))
+    ratios = []
+    for pace in (1.0, 2.0):
+        monkeypatch.setattr("time.process_time", lambda pace=pace: pace * next(clock))
+        ratios.append(run_once(RunSpec("room", seconds=4.0)).by_reference)
+    assert ratios[0] == ratios[1] > 0.0
 
 
 def test_a_regression_is_an_exit_status(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
