@@ -1,46 +1,33 @@
-"""Measure how reliably drives are mapped that nobody tuned for (`wclm bench robust`), compared with raw odometry.
-
-Where there is a reference, errors are compared with it: relations, or a trajectory after rigid alignment. Without a
-reference, the agreement of the scans along the path shows how well the drive was mapped. Both are computed in the same
-way for the path of raw odometry: SLAM should never be worse than that.
-"""
+"""Measure how reliably drives are mapped that nobody tuned for (`wclm bench robust`), compared with raw odometry."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field
 from functools import partial
 from multiprocessing import get_context
-from pathlib import Path
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 import drivers
-from drivers.messages import Message, Odometry, Scan, Source
+from drivers.messages import Message, Source
+from drivers.simulation import Simulation
 
 from ...config import Config
 from ...errors import SlamError
-from ...events import Finished
-from ...geometry.segments import Floats
 from ...io.recorded_stamps import as_recorded
-from ...io.tum import Trajectory, read_tum
+from ...io.tum import Trajectory
 from ...pipeline import Slam
 from ...warmup import warm_up
-from ..metrics import MIN_ALIGNED_PAIRS, read_relations, score_reference, score_relations
-from ..scan_agreement import BeamTable, ScanAgreement
-from .robust_drives import RELATIONS, VARIANTS, WORLDS, DriveVariant, RecordedDrive
+from .robust_drives import VARIANTS, WORLDS, DriveVariant, LaterMode, RecordedDrive
+from .robust_scores import RobustResult, ScoredRun, reference_errors, trajectory_errors, trajectory_errors_in_map
+from .scenarios.later_drives import later_drive
 from .scenarios.log_variants import play_backwards
 
 Prepare: TypeAlias = Callable[[Source], Config]
 """Returns the settings with what a recording's source determines itself, such as the lidar's delay."""
-
-WORSE = 1.05
-"""Factor to odometry's value from which on a result is worse. Results of one drive scatter by some per cent if anything
-changes."""
 
 
 class Job(NamedTuple):
@@ -58,62 +45,6 @@ class Job(NamedTuple):
             return f"{self.world} {self.seed}"
         seed = [str(self.seed)] if self.variant and VARIANTS[self.variant].drawn else []
         return " ".join([self.recording.name, *[self.variant][: bool(self.variant)], *seed])
-
-
-@dataclass(frozen=True, slots=True)
-class PathScore:
-    """Scores of one path.
-
-    error      metres: mean of the relations, or RMS after alignment with a trajectory; NaN without a reference
-    max_error  metres, largest error
-    entropy, conflict  of the scans along the path, see `ScanAgreement`
-    """
-
-    error: float
-    max_error: float
-    entropy: float
-    conflict: float
-
-
-NO_SCORE = PathScore(math.nan, math.nan, math.nan, math.nan)
-
-
-@dataclass(frozen=True, slots=True)
-class RobustResult:
-    """Result of one drive.
-
-    reference  origin of the reference: "relations", "gmapping", "truth", etc.; empty without one
-    slam, odometry  scores of the path of SLAM and of raw odometry
-    placed     share of the scans that have a pose
-    lost       share of the scans taken while the robot was LOST
-    suspects   sentences of the suspects
-    cpu        processor time of the run, seconds, with reading or simulating
-    failed     reason if there is no map
-    """
-
-    name: str
-    reference: str = ""
-    scans: int = 0
-    duration: float = 0.0
-    travelled: float = 0.0
-    slam: PathScore = NO_SCORE
-    odometry: PathScore = NO_SCORE
-    placed: float = 0.0
-    lost: float = 0.0
-    closures: int = 0
-    suspects: tuple[str, ...] = field(default=())
-    cpu: float = 0.0
-    failed: str = ""
-
-    @property
-    def worse(self) -> tuple[str, ...]:
-        """Names of the scores that are worse than those of raw odometry by the factor WORSE."""
-        names = ("error", "entropy", "conflict")
-        return tuple(n for n in names if getattr(self.slam, n) > WORSE * getattr(self.odometry, n))
-
-    def as_data(self) -> dict[str, Any]:
-        """Return the result as plain data for JSON."""
-        return asdict(self) | {"worse_than_odometry": self.worse}
 
 
 def run_jobs(jobs: Sequence[Job], prepare: Prepare, processes: int = 1) -> Iterator[RobustResult]:
@@ -140,9 +71,9 @@ def _run_recording(job: Job, drive: RecordedDrive, prepare: Prepare) -> RobustRe
     messages, mirror = _changed(source, VARIANTS.get(job.variant, DriveVariant()), job.seed)
     if mirror is not None and config.lidar.delay:
         config = config.model_copy(update={"lidar": config.lidar.model_copy(update={"delay": -config.lidar.delay})})
-    run = _Run(messages, config)
+    run = ScoredRun(Slam(config), messages)
     read = {"recordings": [{"recorded_stamps": source.report.recorded_stamps}]}
-    paths = [(run.finished.stamps, run.finished.poses), run.odometry_path()]
+    paths = [run.path, run.odometry_path]
     if mirror is not None:
         paths = [(mirror - stamps[::-1], poses[::-1]) for stamps, poses in paths]
     paths = [(as_recorded(stamps, read), poses) for stamps, poses in paths]
@@ -163,91 +94,36 @@ def _changed(source: Source, variant: DriveVariant, seed: int) -> tuple[Iterable
     return (messages if variant.log is None else variant.log(messages, np.random.default_rng(seed))), mirror
 
 
-def reference_errors(path: Trajectory, reference: Path) -> tuple[float, float]:
-    """Return the error of a path, and the largest one, against relations or a reference trajectory in a file, metres.
-
-    `path` has the recording's own stamps. The error is the mean over relations, or the RMS over a trajectory.
-    """
-    if reference.suffix == RELATIONS:
-        translation = score_relations(path, read_relations(reference)).errors.translation
-        return float(translation.mean()), float(translation.max())
-    return _trajectory_errors(path, read_tum(reference))
-
-
-def _trajectory_errors(path: Trajectory, reference: Trajectory) -> tuple[float, float]:
-    """Return the RMS and the largest position error at the reference's stamps after rigid alignment, metres."""
-    at = path.at(reference.stamps)
-    if at.covered.sum() < MIN_ALIGNED_PAIRS:
-        return math.nan, math.nan
-    stamps = reference.stamps[at.covered]
-    score = score_reference(Trajectory(stamps, at.poses[at.covered]), Trajectory(stamps, reference.poses[at.covered]))
-    figures = score.figures()
-    return figures["ate_rmse"], figures["ate_max"]
-
-
 def _run_world(job: Job, prepare: Prepare) -> RobustResult:
     world = WORLDS[job.world]
     simulation = world.simulation(job.seed)
+    if world.later is not None:
+        return _run_later(job.name, simulation, world.later)
     with world.messages(simulation) as messages:
         config = prepare(messages) if isinstance(messages, Source) else Config()
-        run = _Run(messages, config)
+        run = ScoredRun(Slam(config), messages)
     delay = config.lidar.delay or 0.0  # the path is on the lidar's clock, the truth on that of odometry
     errors = []
-    for (stamps, poses), late in (((run.finished.stamps, run.finished.poses), delay), (run.odometry_path(), 0.0)):
+    for (stamps, poses), late in ((run.path, delay), (run.odometry_path, 0.0)):
         truth = Trajectory(stamps, simulation.trajectory.poses_at(stamps - late))
-        errors.append(_trajectory_errors(Trajectory(stamps, poses), truth))
+        errors.append(trajectory_errors(Trajectory(stamps, poses), truth))
     return run.result(job.name, "truth", errors)
 
 
-class _Run:
-    """One run of SLAM, with what is needed to score its path and that of odometry."""
-
-    def __init__(self, messages: Iterable[Message], config: Config) -> None:
-        """Map all messages. Raises RecordingError or MapError."""
-        slam, self._beams = Slam(config), BeamTable()
-        readings: list[Odometry] = []
-        started = time.process_time()
-        for message in messages:
-            slam.add(message)
-            if isinstance(message, Scan):
-                self._beams.add(message)
-            elif isinstance(message, Odometry):
-                readings.append(message)
-        self.finished: Finished = slam.finish()
-        self._cpu = time.process_time() - started
-        self._odometry = np.array([r.stamp for r in readings]), np.array([r.pose for r in readings])
-        state = slam.slam_state
-        self._placed = len(state.trajectory.at_scans(state.mapper.keyframe_poses)[0])
-
-    def odometry_path(self) -> tuple[Floats, Floats]:
-        """Return stamps (n,) and poses (n, 3) of raw odometry."""
-        return self._odometry
-
-    def result(self, name: str, reference: str, errors: Sequence[tuple[float, float]]) -> RobustResult:
-        """Return the result, given the errors of the path and of odometry."""
-        summary: dict[str, Any] = self.finished.summary
-        path = Trajectory.sorted(self.finished.stamps, self.finished.poses)
-        odometry = Trajectory.sorted(*self._odometry)
-        agreements = [self._beams.agreement(path), self._beams.agreement(odometry)]
-        slam, raw = (_score(*pair) for pair in zip(errors, agreements, strict=True))
-        return RobustResult(
-            name=name,
-            reference=reference,
-            scans=self._beams.scans,
-            duration=path.duration,
-            travelled=path.length,
-            slam=slam,
-            odometry=raw,
-            placed=self._placed / max(self._beams.scans, 1),
-            lost=summary["health"]["lost"] / max(self._beams.scans, 1),
-            closures=summary["loops"]["accepted"],
-            suspects=tuple(suspect["sentence"] for suspect in summary["suspects"]),
-            cpu=self._cpu,
-        )
-
-
-def _score(errors: tuple[float, float], agreement: ScanAgreement) -> PathScore:
-    return PathScore(*errors, agreement.entropy, agreement.conflict)
+def _run_later(name: str, simulation: Simulation, mode: LaterMode) -> RobustResult:
+    """Map a drive, and score another one in its map. Errors are those in the frame of the map."""
+    slam = Slam()
+    earlier = ScoredRun(slam, simulation)
+    stamps, poses = earlier.path
+    mapped = Trajectory(stamps, poses), Trajectory(stamps, simulation.trajectory.poses_at(stamps))
+    later = later_drive(simulation)
+    session = slam.session
+    run = ScoredRun(Slam(resumed=session, frozen=mode == "localize"), later, session.latest)
+    stamps, poses = run.path
+    path = Trajectory(stamps, poses), Trajectory(stamps, later.true_poses(stamps))
+    stamps, poses = run.odometry_path
+    odometry = Trajectory(stamps, poses), Trajectory(stamps, later.true_poses(stamps))
+    return run.result(name, "truth", [trajectory_errors_in_map(*path, *mapped), trajectory_errors(*odometry)])
 
 
 def select_jobs(

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulatio
 
 from ...errors import MapError
 from .scenarios.buildings import random_building, turning_path, wide_hall
+from .scenarios.later_drives import PATROL_SECONDS, small_stranger
 from .scenarios.log_variants import (
     LogVariant,
     crop,
@@ -28,6 +30,9 @@ from .scenarios.log_variants import (
 from .scenarios.recorded import recorded
 from .scenarios.strangers import stranger
 from .scenarios.world_variants import add_crowd
+
+LaterMode: TypeAlias = Literal["localize", "continue"]
+"""What a drive on another day does with the map of an earlier one."""
 
 SUFFIXES = (".clf", ".log", ".carmen", ".mcap", ".bag")
 """Of recordings in one file; a folder with metadata.yaml is a ROS 2 bag."""
@@ -89,6 +94,7 @@ class SimulatedWorld:
     duration     seconds; None follows the way points once
     log          change of the messages
     recording    True if the messages are written to a recording and read again, so that its reader corrects them
+    later        not None if a drive of the next day is scored, in the map of this one
     """
 
     description: str
@@ -98,6 +104,7 @@ class SimulatedWorld:
     duration: float | None = None
     log: LogVariant | None = None
     recording: bool = False
+    later: LaterMode | None = None
 
     def simulation(self, seed: int) -> Simulation:
         """Return the simulation of one drive."""
@@ -154,6 +161,16 @@ WORLDS: dict[str, SimulatedWorld] = {
         recording=True,
     ),
     "strangers": SimulatedWorld("building, lidar, mount, wheels and people drawn from the seed", stranger),
+    "patrol": SimulatedWorld(
+        "strangers with a small lidar that repeat their tour for ten minutes",
+        lambda seed: small_stranger(seed, PATROL_SECONDS),
+    ),
+    "known-map": SimulatedWorld(
+        "strangers on another day, localised in the map of their first drive", small_stranger, later="localize"
+    ),
+    "continued-map": SimulatedWorld(
+        "strangers on another day, who continue the map of their first drive", small_stranger, later="continue"
+    ),
 }
 """Simulated worlds by name."""
 

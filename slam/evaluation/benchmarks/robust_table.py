@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .robust import RobustResult
+from .robust_scores import RobustResult
 
 TABLE_HEAD = (
     "| drive | reference | distance, m | error, m | max, m | entropy | conflict | placed | LOST | closures | suspects "

@@ -11,22 +11,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers import se2
 from drivers.messages import Message, Source
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation
 from slam.config import Config
 from slam.errors import MapError
 from slam.evaluation.benchmarks import robust
-from slam.evaluation.benchmarks.robust import (
-    Job,
+from slam.evaluation.benchmarks.robust import Job, run_job, run_jobs
+from slam.evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, LaterMode, SimulatedWorld, find_recordings
+from slam.evaluation.benchmarks.robust_scores import (
     PathScore,
     RobustResult,
     reference_errors,
-    run_job,
-    run_jobs,
+    trajectory_errors,
+    trajectory_errors_in_map,
 )
-from slam.evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, find_recordings
 from slam.evaluation.benchmarks.robust_table import TABLE_HEAD, table_row
+from slam.evaluation.benchmarks.scenarios import later_drives
 from slam.io.tum import Trajectory, write_tum
 
 LIDAR = LidarModel(beams=180, rate=6.0)
@@ -131,6 +133,29 @@ def test_a_world_is_scored_by_its_truth(monkeypatch: pytest.MonkeyPatch) -> None
     (result,) = run_jobs([Job(None, "crowd", 4)], defaults)
     assert (result.name, result.reference, result.failed) == ("crowd 4", "truth", "")
     assert result.slam.error < 0.02
+
+
+@pytest.mark.parametrize("mode", ["localize", "continue"])
+def test_a_drive_on_another_day_is_scored_in_the_map(monkeypatch: pytest.MonkeyPatch, mode: LaterMode) -> None:
+    monkeypatch.setattr(later_drives, "LATER_SECONDS", 10.0)
+    world = SimulatedWorld("", lambda seed: Simulation("office", seed, 14.0, LIDAR), later=mode)
+    monkeypatch.setitem(robust.WORLDS, "known-map", world)
+    result = run_job(Job(None, "known-map", 3), defaults)
+    assert (result.name, result.reference, result.failed) == ("known-map 3", "truth", "")
+    assert 0.0 < result.slam.error < 0.05
+    assert 0.9 < result.placed <= 1.0
+    assert 50 < result.scans < 61
+
+
+def test_a_displacement_in_the_map_is_an_error() -> None:
+    """Both drives start in the origin of a frame that is turned against the map; the later one is 0.3 m off."""
+    stamps = np.arange(10.0)
+    true = np.column_stack([stamps, 0.1 * stamps**2, np.zeros(10)])
+    mapped = se2.compose(np.array([1.0, 2.0, 0.5]), true)
+    off = se2.compose(np.array([1.0, 2.0, 0.5]), true + np.array([0.0, 0.3, 0.0]))
+    paths = Trajectory(stamps, off), Trajectory(stamps, true), Trajectory(stamps, mapped), Trajectory(stamps, true)
+    assert trajectory_errors_in_map(*paths) == (pytest.approx(0.3), pytest.approx(0.3))
+    assert trajectory_errors(*paths[:2]) == (pytest.approx(0.0, abs=1e-6), pytest.approx(0.0, abs=1e-6))
 
 
 def test_worse_scores_than_odometrys_are_bold() -> None:

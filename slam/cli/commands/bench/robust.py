@@ -27,7 +27,8 @@ def bench_robust(
             "--condition",
             metavar="NAME",
             help="World, or name of a recording; can be repeated. By default all recordings and all worlds: crowd, "
-            "turns, reversed-beams, late-lidar, wide-hall, columns, buildings, failing-odometry, strangers.",
+            "turns, reversed-beams, late-lidar, wide-hall, columns, buildings, failing-odometry, strangers, patrol, "
+            "known-map, continued-map.",
         ),
     ] = None,
     variants: Annotated[
