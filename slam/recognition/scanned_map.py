@@ -23,20 +23,18 @@ from ..loop_closure.submap_search import DISTORTION_SIGMAS, REVISIT_GAP, build_s
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
-from ..matching.offset_tiles import FIELD_CELL, MAX_DISTANCE
-from ..matching.point_costs import UNSEEN, costs_of_points, points_cost
+from ..matching.offset_tiles import MAX_DISTANCE
+from ..matching.point_costs import points_cost
 from ..matching.scan_points import COLUMNS, lines_of
 from .map_descriptor import MapDescriptor
 from .map_index import MapIndex, index_map
+from .points_at_rest import points_at_rest
 
 # Metres, side of a cell: the width of a door, or of a piece of furniture. Origin: chosen, with 2 m the walls of a
 # single room are too few cells to decide by.
 EVIDENCE_CELL = 1.0
 # Metres of a wall that is not a piece of furniture. Origin: chosen, longer than usual tables and cupboards.
 MIN_WALL_LENGTH = 3.0
-# Metres between the points kept of a surface, so that evidence does not depend on how often the surface was seen.
-# Origin: chosen, two cells of a distance field; not measured.
-THINNED_SPACING = 2.0 * FIELD_CELL
 # Metres from the median position along x and y up to which a map is searched: memory grows with the square, and one
 # keyframe may be far away after a failure of odometry. Origin: chosen, beyond any building.
 MAX_REACH = 1000.0
@@ -71,7 +69,7 @@ class ScannedMap:
 
     index   its walls
     field   distance field of all points
-    points  thinned, in the map's frame
+    points  at rest, thinned, in the map's frame
     cells   number of cells
     """
 
@@ -92,7 +90,7 @@ class SubmapScan:
 
     keyframes   of the submap
     descriptor  its walls
-    points      (p, 6) thinned, with normals
+    points      (p, 6) at rest, thinned, with normals
     field       distance field of all points
     reach       metres from the last keyframe to the farthest point, at most MAX_REACH
     """
@@ -148,7 +146,8 @@ def scan_map(
     field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + MAX_DISTANCE)
     field.insert_scans(poses, points)
     grid = _CellGrid.of(low, high, cell)
-    return ScannedMap(index, field, grid.sort(_at_rest(moved, field), np.zeros(3), index.descriptor), grid.count)
+    kept = _points_at_rest(poses, points, moved, low, high)
+    return ScannedMap(index, field, grid.sort(kept, np.zeros(3), index.descriptor), grid.count)
 
 
 def scan_keyframes(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.bool_]) -> ScannedMap:
@@ -168,7 +167,8 @@ def scan_submap(
     farthest = [np.hypot(own[:, 0], own[:, 1]).max(initial=0.0) for own in points]
     reach = min(MAX_REACH, float(np.max(np.hypot(relative[:, 0], relative[:, 1]) + farthest)))
     built = build_submap(relative, points, reach + MAX_DISTANCE)
-    return SubmapScan(keyframes, descriptor, _at_rest(built.points, built.field), built.field, reach)
+    kept = _points_at_rest(relative, points, built.points, np.full(2, -reach), np.full(2, reach))
+    return SubmapScan(keyframes, descriptor, kept, built.field, reach)
 
 
 def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDENCE_CELL) -> ScannedDrive:
@@ -188,26 +188,13 @@ def are_on_walls(count: int) -> NDArray[np.bool_]:
     return np.asarray(np.arange(count) % 2 == 1)
 
 
-def _at_rest(points: Floats, field: DistanceField) -> Floats:
-    """Return the points (p, 6), thinned, without those that did not enter their field.
-
-    These appeared in free space, where no other scan has seen them: people around the robot are no part of the place.
-    """
-    thinned = np.ascontiguousarray(thin(points))
-    return np.asarray(thinned[costs_of_points(field.arrays, thinned, np.zeros(3)) < UNSEEN])
-
-
-def thin(points: Floats) -> Floats:
-    """Return one of the points (p, 6) of each square of THINNED_SPACING whose surfaces face in about one direction."""
-    if not len(points):
-        return points
-    squares = np.round(points[:, :2] / THINNED_SPACING).astype(np.int64)
-    facing = np.round(np.arctan2(points[:, 3], points[:, 2]) / (0.5 * math.pi)).astype(np.int64) % 4
-    facing[~points[:, 2:4].any(axis=1)] = 4
-    # One number for each square and direction: to compare rows takes ten times as long.
-    column, row = (squares - squares.min(axis=0)).T
-    _, first = np.unique((column * (row.max() + 1) + row) * 5 + facing, return_index=True)
-    return np.ascontiguousarray(points[np.sort(first)])
+def _points_at_rest(
+    poses: Floats, points: Sequence[NDArray[np.floating]], moved: Floats, low: Floats, high: Floats
+) -> Floats:
+    """Return the points at rest between two corners (2,), given those of each pose and all of them in one frame."""
+    starts = np.repeat(poses[:, :2], [len(own) for own in points], axis=0)
+    inside = np.all((moved[:, :2] >= low) & (moved[:, :2] <= high), axis=1)
+    return points_at_rest(starts[inside], moved[inside])
 
 
 @immutable

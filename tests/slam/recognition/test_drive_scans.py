@@ -15,7 +15,7 @@ from slam import Slam
 from slam.estimation.slam_state import SlamState
 from slam.io.tum import Trajectory
 from slam.loop_closure.submap_search import SUBMAP_LENGTH
-from slam.recognition import drive_scans, location
+from slam.recognition import drive_scans, evidence, location
 from slam.recognition.drive_scans import DriveScans
 from slam.recognition.location import LOST, locate
 from slam.recognition.map_index import index_map
@@ -103,13 +103,15 @@ def test_search_is_due_when_the_drive_is_longer(second: tuple[SlamState, se2.Pos
 
 
 def test_places_seen_again_are_no_further_evidence(
-    first: tuple[ScannedMap, se2.Pose], second: tuple[SlamState, se2.Pose]
+    first: tuple[ScannedMap, se2.Pose], second: tuple[SlamState, se2.Pose], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The same cells count: those with enough points if each is seen once."""
     state, _ = second
     scans = [submap.scan for submap in DriveScans().take(state.mapper, state.local_field, 0).submaps][:2]
     once = locate(scan_drive(state.mapper, scans), first[0], LOST)
+    monkeypatch.setattr(evidence, "MIN_CELL_POINTS", 3 * evidence.MIN_CELL_POINTS)
     thrice = locate(scan_drive(state.mapper, scans * 3), first[0], LOST)
-    assert 0.5 * once.evidence < thrice.evidence < 1.1 * once.evidence
+    assert thrice.evidence == pytest.approx(once.evidence, rel=0.02)
 
 
 def test_drive_that_leaves_the_map_is_not_located(
