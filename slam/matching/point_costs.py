@@ -14,7 +14,7 @@ from drivers.compiled import compiled, inlined
 from ..geometry.small_matrices import quadratic_form
 from ..mapping.sight_lines import MIN_DEPTH
 from .distance_field import ALL_POINTS, facing_grid, nearest_distance
-from .free_space import is_seen
+from .free_space import NEW_SURFACE, is_seen, is_surrounded
 from .offset_tiles import FIELD_CELL, MAX_DISTANCE, MAX_SQUARED, OFFSET_UNIT, metres, offset_at, squared_length
 from .scan_points import FINE_SIGMA, WEIGHT
 
@@ -24,6 +24,8 @@ COARSE_SIGMA = MAX_DISTANCE / 5.0
 COST_OF_SQUARE = 0.5 * (OFFSET_UNIT / COARSE_SIGMA) ** 2
 # Cost of a point that fits nowhere. Origin: chosen, it is then 2.8 standard deviations off.
 MISFIT = 4.0
+# Cost from which on a point is on no known surface. Origin: definition, as for points that enter the field.
+NEW_SURFACE_COST = 0.5 * (NEW_SURFACE / COARSE_SIGMA) ** 2
 # Cost of a point in a cell that was not seen. Origin: definition, the mean of fitting and not fitting.
 UNSEEN = 0.5 * MISFIT
 # Metres from a known point within which a beam passes through its surface. Origin: definition, the field's resolution.
@@ -102,6 +104,27 @@ def costs_of_points(field, points, pose):  # type: ignore[no-untyped-def]
     for k in range(len(points)):
         costs[k] = _point_cost(field, points, k, pose, c, s)[0]
     return costs
+
+
+@compiled
+def add_misfits(field, points, cells, pose, misfits, known):  # type: ignore[no-untyped-def]
+    """Add to `known` (c,) the points (p, 6) of each cell that a field can judge, to `misfits` their misfits.
+
+    A misfit is the cost of the point as a share of MISFIT. A point on no known surface counts only if beams have
+    crossed all around it: at the end of what was seen of a wall, its other points are in cells that were seen as well.
+
+    cells  (p,) numbers of the cells
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(len(points)):
+        cost, evidence = _point_cost(field, points, k, pose, c, s)
+        if cost > NEW_SURFACE_COST:
+            x = (pose[0] + c * points[k, 0] - s * points[k, 1] - field[0][0]) / FIELD_CELL
+            y = (pose[1] + s * points[k, 0] + c * points[k, 1] - field[0][1]) / FIELD_CELL
+            evidence = evidence and is_surrounded(field[3], x, y)
+        if evidence:
+            misfits[cells[k]] += cost / MISFIT
+            known[cells[k]] += 1.0
 
 
 @compiled

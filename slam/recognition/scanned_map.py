@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
-from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
@@ -24,7 +23,7 @@ from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
 from ..matching.offset_tiles import MAX_DISTANCE
-from ..matching.point_costs import points_cost
+from ..matching.point_costs import add_misfits
 from ..matching.scan_points import COLUMNS, lines_of
 from .map_descriptor import MapDescriptor
 from .map_index import MapIndex, index_map
@@ -56,11 +55,11 @@ class CellPoints:
         return CellPoints(np.ascontiguousarray(self.points[near]), self.cells[near])
 
     def add_misfits(self, field: DistanceField, pose: se2.Pose, misfits: Floats, known: Floats) -> None:
-        """Add to `known` (c,) the points of each cell in space that a field has seen, to `misfits` those that misfit.
+        """Add to `known` (c,) the points of each cell that a field can judge, to `misfits` those that misfit.
 
-        The points are moved by `pose`; a point can misfit in part. See `slam.matching.point_costs`.
+        The points are moved by `pose`; a point can misfit in part. See `slam.matching.point_costs.add_misfits`.
         """
-        _add_misfits(field.arrays, self.points, self.cells, pose, misfits, known)
+        add_misfits(field.arrays, self.points, self.cells, pose, misfits, known)
 
 
 @immutable
@@ -262,17 +261,3 @@ def _transform(pose: se2.Pose, points: NDArray[np.floating]) -> Floats:
     turn = np.array([0.0, 0.0, pose[2]])
     moved, normals = se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:4])
     return np.column_stack([moved.reshape(-1, 2), normals.reshape(-1, 2), points[:, 4:]]).astype(np.float64)
-
-
-@compiled
-def _add_misfits(field, points, cells, pose, misfits, known):  # type: ignore[no-untyped-def]
-    """Add the points of each cell; see `CellPoints.add_misfits`."""
-    first = 0
-    while first < len(points):
-        end = first
-        while end < len(points) and cells[end] == cells[first]:
-            end += 1
-        _, fit, count = points_cost(field, points[first:end], pose)
-        misfits[cells[first]] += (1.0 - fit) * count
-        known[cells[first]] += count
-        first = end
