@@ -14,7 +14,7 @@ from drivers.compiled import compiled, inlined
 from ..geometry.small_matrices import quadratic_form
 from ..mapping.sight_lines import MIN_DEPTH
 from .distance_field import ALL_POINTS, facing_grid, nearest_distance
-from .free_space import NEW_SURFACE, is_seen, is_surrounded
+from .free_space import NEW_SURFACE, is_seen
 from .offset_tiles import FIELD_CELL, MAX_DISTANCE, MAX_SQUARED, OFFSET_UNIT, metres, offset_at, squared_length
 from .scan_points import FINE_SIGMA, WEIGHT
 
@@ -41,7 +41,7 @@ def points_cost(field, points, pose):  # type: ignore[no-untyped-def]
     c, s = math.cos(pose[2]), math.sin(pose[2])
     total, of_known, known = 0.0, 0.0, 0
     for k in range(len(points)):
-        cost, evidence = _point_cost(field, points, k, pose, c, s)
+        cost, evidence = point_cost(field, points, k, pose, c, s)
         weight = points[k, WEIGHT]
         total += weight * cost
         if evidence:
@@ -102,29 +102,8 @@ def costs_of_points(field, points, pose):  # type: ignore[no-untyped-def]
     """Return the cost (p,) of each of points (p, 6) with normals at a pose."""
     c, s, costs = math.cos(pose[2]), math.sin(pose[2]), np.empty(len(points))
     for k in range(len(points)):
-        costs[k] = _point_cost(field, points, k, pose, c, s)[0]
+        costs[k] = point_cost(field, points, k, pose, c, s)[0]
     return costs
-
-
-@compiled
-def add_misfits(field, points, cells, pose, misfits, known):  # type: ignore[no-untyped-def]
-    """Add to `known` (c,) the points (p, 6) of each cell that a field can judge, to `misfits` their misfits.
-
-    A misfit is the cost of the point as a share of MISFIT. A point on no known surface counts only if beams have
-    crossed all around it: at the end of what was seen of a wall, its other points are in cells that were seen as well.
-
-    cells  (p,) numbers of the cells
-    """
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    for k in range(len(points)):
-        cost, evidence = _point_cost(field, points, k, pose, c, s)
-        if cost > NEW_SURFACE_COST:
-            x = (pose[0] + c * points[k, 0] - s * points[k, 1] - field[0][0]) / FIELD_CELL
-            y = (pose[1] + s * points[k, 0] + c * points[k, 1] - field[0][1]) / FIELD_CELL
-            evidence = evidence and is_surrounded(field[3], x, y)
-        if evidence:
-            misfits[cells[k]] += cost / MISFIT
-            known[cells[k]] += 1.0
 
 
 @compiled
@@ -150,7 +129,7 @@ def crossing_beams(field, points, pose):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _point_cost(field, points, k, pose, c, s):  # type: ignore[no-untyped-def]
+def point_cost(field, points, k, pose, c, s):  # type: ignore[no-untyped-def]
     """Return the cost of point k at a pose with cosine `c` and sine `s`, and if it is in seen space."""
     x = (pose[0] + c * points[k, 0] - s * points[k, 1] - field[0][0]) / FIELD_CELL
     y = (pose[1] + s * points[k, 0] + c * points[k, 1] - field[0][1]) / FIELD_CELL

@@ -57,9 +57,9 @@ def compare_cells(new: ScannedDrive, old: ScannedMap, placement: Placement) -> C
     misfits, known = np.zeros(new.cells), np.zeros(new.cells)
     old_misfits, old_known = np.zeros(old.cells), np.zeros(old.cells)
     for submap, pose in zip(new.submaps, placement.poses, strict=True):
-        submap.points.add_misfits(old.field, pose, misfits, known)
+        submap.points.add_misfits(old, pose, misfits, known)
         near = old.points.near(pose[:2], submap.scan.reach)
-        near.add_misfits(submap.scan.field, se2.inverse(pose), old_misfits, old_known)
+        near.add_misfits(submap.scan, se2.inverse(pose), old_misfits, old_known)
     misfits, known = np.concatenate([misfits, old_misfits]), np.concatenate([known, old_known])
     on_wall = np.concatenate([are_on_walls(new.cells), are_on_walls(old.cells)])
     return CellFits(1.0 - misfits / np.maximum(known, 1.0), known >= MIN_CELL_POINTS, on_wall)

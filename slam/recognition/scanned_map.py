@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
@@ -23,8 +24,9 @@ from ..mapping.mapper import Mapper
 from ..matching.distance_field import DistanceField
 from ..matching.free_space import SEEN_CELL
 from ..matching.offset_tiles import MAX_DISTANCE
-from ..matching.point_costs import add_misfits
+from ..matching.point_costs import MISFIT, NEW_SURFACE_COST, point_cost
 from ..matching.scan_points import COLUMNS, lines_of
+from .crossed_space import CrossedSpace, is_crossed
 from .map_descriptor import MapDescriptor
 from .map_index import MapIndex, index_map
 from .points_at_rest import points_at_rest
@@ -54,12 +56,12 @@ class CellPoints:
         near = np.hypot(self.points[:, 0] - position[0], self.points[:, 1] - position[1]) < distance
         return CellPoints(np.ascontiguousarray(self.points[near]), self.cells[near])
 
-    def add_misfits(self, field: DistanceField, pose: se2.Pose, misfits: Floats, known: Floats) -> None:
-        """Add to `known` (c,) the points of each cell that a field can judge, to `misfits` those that misfit.
+    def add_misfits(self, other: ScannedMap | SubmapScan, pose: se2.Pose, misfits: Floats, known: Floats) -> None:
+        """Add to `known` (c,) the points of each cell that another map can judge, to `misfits` those that misfit.
 
-        The points are moved by `pose`; a point can misfit in part. See `slam.matching.point_costs.add_misfits`.
+        The points are moved by `pose`; a point can misfit in part. See `slam.matching.point_costs`.
         """
-        add_misfits(field.arrays, self.points, self.cells, pose, misfits, known)
+        _add_misfits(other.field.arrays, other.crossed.arrays, self.points, self.cells, pose, misfits, known)
 
 
 @immutable
@@ -68,12 +70,14 @@ class ScannedMap:
 
     index   its walls
     field   distance field of all points
+    crossed  space that beams crossed
     points  at rest, thinned, in the map's frame
     cells   number of cells
     """
 
     index: MapIndex
     field: DistanceField
+    crossed: CrossedSpace
     points: CellPoints
     cells: int
 
@@ -91,6 +95,7 @@ class SubmapScan:
     descriptor  its walls
     points      (p, 6) at rest, thinned, with normals
     field       distance field of all points
+    crossed     space that beams crossed
     reach       metres from the last keyframe to the farthest point, at most MAX_REACH
     """
 
@@ -98,6 +103,7 @@ class SubmapScan:
     descriptor: MapDescriptor
     points: Floats
     field: DistanceField
+    crossed: CrossedSpace
     reach: float
 
 
@@ -145,8 +151,9 @@ def scan_map(
     field = DistanceField.empty(0.5 * (low + high), 0.5 * float((high - low).max()) + MAX_DISTANCE)
     field.insert_scans(poses, points)
     grid = _CellGrid.of(low, high, cell)
-    kept = _points_at_rest(poses, points, moved, low, high)
-    return ScannedMap(index, field, grid.sort(kept, np.zeros(3), index.descriptor), grid.count)
+    beams = _beams(poses, points, moved, low, high)
+    kept, crossed = points_at_rest(*beams), CrossedSpace.of_beams(beams[0], beams[1][:, :2])
+    return ScannedMap(index, field, crossed, grid.sort(kept, np.zeros(3), index.descriptor), grid.count)
 
 
 def scan_keyframes(mapper: Mapper, local_field: LocalField, chosen: NDArray[np.bool_]) -> ScannedMap:
@@ -166,8 +173,9 @@ def scan_submap(
     farthest = [np.hypot(own[:, 0], own[:, 1]).max(initial=0.0) for own in points]
     reach = min(MAX_REACH, float(np.max(np.hypot(relative[:, 0], relative[:, 1]) + farthest)))
     built = build_submap(relative, points, reach + MAX_DISTANCE)
-    kept = _points_at_rest(relative, points, built.points, np.full(2, -reach), np.full(2, reach))
-    return SubmapScan(keyframes, descriptor, kept, built.field, reach)
+    beams = _beams(relative, points, built.points, np.full(2, -reach), np.full(2, reach))
+    kept, crossed = points_at_rest(*beams), CrossedSpace.of_beams(beams[0], beams[1][:, :2])
+    return SubmapScan(keyframes, descriptor, kept, built.field, crossed, reach)
 
 
 def scan_drive(mapper: Mapper, scans: Sequence[SubmapScan], cell: float = EVIDENCE_CELL) -> ScannedDrive:
@@ -187,13 +195,16 @@ def are_on_walls(count: int) -> NDArray[np.bool_]:
     return np.asarray(np.arange(count) % 2 == 1)
 
 
-def _points_at_rest(
+def _beams(
     poses: Floats, points: Sequence[NDArray[np.floating]], moved: Floats, low: Floats, high: Floats
-) -> Floats:
-    """Return the points at rest between two corners (2,), given those of each pose and all of them in one frame."""
+) -> tuple[Floats, Floats]:
+    """Return starts (p, 2) and points (p, 6) of beams that end between two corners (2,).
+
+    points, moved  those seen from each of `poses` (k, 3) in its frame, and all of them in the frame of the poses
+    """
     starts = np.repeat(poses[:, :2], [len(own) for own in points], axis=0)
     inside = np.all((moved[:, :2] >= low) & (moved[:, :2] <= high), axis=1)
-    return points_at_rest(starts[inside], moved[inside])
+    return starts[inside], moved[inside]
 
 
 @immutable
@@ -261,3 +272,17 @@ def _transform(pose: se2.Pose, points: NDArray[np.floating]) -> Floats:
     turn = np.array([0.0, 0.0, pose[2]])
     moved, normals = se2.transform(pose, points[:, :2]), se2.transform(turn, points[:, 2:4])
     return np.column_stack([moved.reshape(-1, 2), normals.reshape(-1, 2), points[:, 4:]]).astype(np.float64)
+
+
+@compiled
+def _add_misfits(field, crossed, points, cells, pose, misfits, known):  # type: ignore[no-untyped-def]
+    """Add the points of each cell; see `CellPoints.add_misfits`. A misfit is a cost as a share of MISFIT."""
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    for k in range(len(points)):
+        cost, evidence = point_cost(field, points, k, pose, c, s)
+        if cost > NEW_SURFACE_COST:
+            x, y = points[k, 0], points[k, 1]
+            evidence = evidence and is_crossed(crossed, pose[0] + c * x - s * y, pose[1] + s * x + c * y)
+        if evidence:
+            misfits[cells[k]] += cost / MISFIT
+            known[cells[k]] += 1.0
