@@ -105,8 +105,6 @@ def is_seen(seen, x, y):  # type: ignore[no-untyped-def]
 def is_surrounded(seen, x, y):  # type: ignore[no-untyped-def]
     """Return True if the cell of (x, y), in cells of FIELD_CELL, and all its neighbours were seen: no wall is there."""
     row, column = math.floor(x) // SEEN_CELLS, math.floor(y) // SEEN_CELLS
-    if min(row, column) < 1 or max(row, column) >= len(seen) - 1:
-        return False
     for i in range(row - 1, row + 2):
         for j in range(column - 1, column + 2):
             if seen[i, j] == 0:
