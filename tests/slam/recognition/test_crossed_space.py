@@ -45,6 +45,22 @@ def test_the_rest_of_a_wall_is_no_misfit() -> None:
     assert misfits < 0.5
 
 
+def test_a_wall_along_which_beams_graze_is_no_misfit() -> None:
+    """Their ends are up to metres apart, and before it ends, each beam is for a metre within 0.1 m of the wall.
+
+    The points that are judged are off the wall by usual noise.
+    """
+    x = 1.0 / np.tan(np.radians(np.arange(3.0, 45.0)))
+    ones = np.ones(len(x))
+    seen = scan_map(
+        index_map(Mapper()),
+        np.zeros((1, 3)),
+        [np.column_stack([x, ones, 0.0 * ones, -ones, 0.0 * ones, ones])],
+    )
+    _, misfits = judged(np.column_stack([np.arange(1.0, 19.0, 0.1), np.full(180, 0.97)]), seen)
+    assert misfits < 1.0
+
+
 @pytest.mark.parametrize("distance", [0.5, 1.0, 3.0, WALL - 0.5])
 def test_what_beams_have_passed_through_is_a_misfit(distance: float) -> None:
     known, misfits = judged(np.array([[distance, 0.0], [distance, 0.5]]), scanned(hidden_from=10.0))
