@@ -15,11 +15,12 @@ from .scanned_map import ScannedDrive, SubmapScan, scan_drive, scan_submap
 # Submaps that are searched for. Origin: measured, of 90 searches in worlds of equal places, those that were decided had
 # driven 21 m at most.
 MAX_SUBMAPS = 4
-# Metres of driving between two searches, the same as a share of the drive so far, as a longer one takes more time to
-# search for, and at most, so that each place is in two drives. Origin: chosen; not measured.
-SEARCH_DISTANCE = 1.0
-SEARCH_SHARE = 0.2  # Origin: as SEARCH_DISTANCE.
-MAX_SEARCH_DISTANCE = 0.5 * MAX_SUBMAPS * SUBMAP_LENGTH  # Origin: as SEARCH_DISTANCE.
+# Keyframes between two searches, the same as a share of those of the drive so far, as a longer one takes more time to
+# search for, and metres at most, so that each place is in two drives. A robot that turns on the spot has new keyframes,
+# too. Origin: chosen; not measured.
+SEARCH_KEYFRAMES = 2
+SEARCH_SHARE = 0.2  # Origin: as SEARCH_KEYFRAMES.
+MAX_SEARCH_DISTANCE = 0.5 * MAX_SUBMAPS * SUBMAP_LENGTH  # Origin: as SEARCH_KEYFRAMES.
 
 
 class DriveScans:
@@ -30,7 +31,7 @@ class DriveScans:
 
     def __init__(self) -> None:
         self._complete: dict[range, SubmapScan] = {}  # by keyframes
-        self._searched = -math.inf  # metres driven up to the last search
+        self._searched = 0  # keyframes at the last search
 
     def __deepcopy__(self, memo: dict[int, object]) -> DriveScans:
         """Return an independent copy; submaps are never changed and are shared."""
@@ -43,14 +44,17 @@ class DriveScans:
         self._complete = {}
 
     def is_due(self, mapper: Mapper, first: int) -> bool:
-        """Return True if the drive since a keyframe has become so much longer that it is worth a search."""
-        now = mapper.travelled[-1]
-        distance = SEARCH_SHARE * (now - mapper.travelled[first])
-        return bool(now - self._searched >= min(MAX_SEARCH_DISTANCE, max(SEARCH_DISTANCE, distance)))
+        """Return True if the drive since a keyframe shows so much more that it is worth a search."""
+        count, before = mapper.keyframe_count, self._searched
+        if not first < before <= count:
+            return True
+        if mapper.travelled[-1] - mapper.travelled[before - 1] >= MAX_SEARCH_DISTANCE:
+            return True
+        return count - before >= max(SEARCH_KEYFRAMES, SEARCH_SHARE * (count - first))
 
     def take(self, mapper: Mapper, local_field: LocalField, first: int) -> ScannedDrive:
         """Return the last submaps of the drive since a keyframe, to be searched for now."""
-        self._searched = mapper.travelled[-1]
+        self._searched = mapper.keyframe_count
         driven = local_field.path_distances(mapper.travelled).driven[first:]
         number = np.floor((driven - driven[0]) / SUBMAP_LENGTH).astype(np.int64)
         starts = first + np.flatnonzero(np.diff(number, prepend=-1))

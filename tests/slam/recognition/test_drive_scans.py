@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import copy
+import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -15,6 +18,7 @@ from slam import Slam
 from slam.estimation.slam_state import SlamState
 from slam.io.tum import Trajectory
 from slam.loop_closure.submap_search import SUBMAP_LENGTH
+from slam.mapping.mapper import Mapper
 from slam.recognition import drive_scans, evidence, location
 from slam.recognition.drive_scans import DriveScans
 from slam.recognition.location import LOST, locate
@@ -94,12 +98,25 @@ def test_complete_submaps_are_built_once(second: tuple[SlamState, se2.Pose]) -> 
     assert scans.take(state.mapper, state.local_field, 0).submaps[0].scan is not before[0].scan
 
 
-def test_search_is_due_when_the_drive_is_longer(second: tuple[SlamState, se2.Pose]) -> None:
+def test_search_is_due_when_the_drive_shows_more(second: tuple[SlamState, se2.Pose]) -> None:
+    """A robot that turns on the spot travels nowhere, but has new keyframes."""
     state, _ = second
-    scans = DriveScans()
-    assert scans.is_due(state.mapper, 0)
+    scans, count = DriveScans(), state.mapper.keyframe_count
+
+    def due(more: int, metres: float, first: int = 0) -> bool:
+        travelled = [*state.mapper.travelled, *[state.mapper.travelled[-1] + metres] * more]
+        return scans.is_due(cast("Mapper", SimpleNamespace(keyframe_count=count + more, travelled=travelled)), first)
+
+    assert due(0, 0.0)
     scans.take(state.mapper, state.local_field, 0)
-    assert not scans.is_due(state.mapper, 0)
+    share = math.ceil(drive_scans.SEARCH_SHARE * count)
+    assert not due(0, 0.0)
+    assert not due(share - 1, 0.0)
+    assert due(share + 2, 0.0)
+    assert due(1, drive_scans.MAX_SEARCH_DISTANCE)
+    assert due(1, 0.0, first=count), "another drive has begun"
+    assert not due(drive_scans.SEARCH_KEYFRAMES - 1, 0.0, first=count - 3)
+    assert due(drive_scans.SEARCH_KEYFRAMES, 0.0, first=count - 3)
 
 
 def test_places_seen_again_are_no_further_evidence(
