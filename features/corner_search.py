@@ -8,6 +8,7 @@ from .compiled import inlined
 from .corner import intersect, parallel
 from .curves import curve_evidence
 from .feature_buffers import FeatureBuffers
+from .normal_limits import NORMAL_LIMIT
 from .rays import TURN, Rays, widest_gap, wrap_index
 from .settings import Settings
 from .types import Floats
@@ -15,8 +16,8 @@ from .types import Floats
 # Beam steps by which a corner may lie outside the rays next to it.
 # Origin: tuned on simulated scans, confirmed on others.
 CORNER_STEPS = 1.5
-# Standard deviations of bearing that are added to that. Origin: as CORNER_STEPS.
-CORNER_SIGMAS = 3.0
+# Standard deviations of bearing that are added to that. Origin: definition.
+CORNER_SIGMAS = NORMAL_LIMIT
 # Maximum range of a corner relative to the farther ray next to it. Origin: chosen; not measured.
 CORNER_RANGE = 1.3
 # Standard deviations of range that are added to that. Origin: chosen; not measured.

@@ -14,6 +14,7 @@ from .line_tracking import track_lines
 from .merging import remove_small_segments
 from .noise_estimates import MIN_ADAPT_RAYS, estimate_noise, median_estimate
 from .normal_equations import bearing_variance, get_column
+from .normal_limits import GROSS_LIMIT
 from .rays import (
     Rays,
     RaySlice,
@@ -35,8 +36,8 @@ from .types import Floats, Integers
 from .wclm import INLIER_GATE, REWEIGHTINGS, reweighted
 
 # In units of the range noise: minimum range of a usable ray; the noise of 1/range of closer ones is far from Gaussian.
-# Origin: chosen, 20 % relative noise; not measured.
-MIN_RANGE_SIGMAS = 5.0
+# Origin: definition, 20 % relative noise.
+MIN_RANGE_SIGMAS = GROSS_LIMIT
 # In units of the squared bearing noise: minimum variance of the bearings of a line's rays; noise alone explains less.
 # Origin: chosen; not measured.
 MIN_BEARING_VARIANCE = 10.0

@@ -26,11 +26,12 @@ from ..preprocessing.scan_sequence import ScanSequence
 from .drive import Drive
 from .row_groups import consecutive_groups
 from .suspect import MAP, PARTS, UNCONSTRAINED, Suspect
+from .weak_places import MIN_LENGTH
 
 # Metres of driving that are reported if nothing determines them, and that a robot may have driven while its velocity
 # was not known: velocities hardly change before.
-# Origin: chosen, about two seconds; not measured.
-MIN_BLIND_LENGTH = 1.0
+# Origin: definition, the shortest stretch that is reported as weak.
+MIN_BLIND_LENGTH = MIN_LENGTH
 # Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
 MAX_SEEING_SCANS = 2
 # Metres: standard deviation of the positions after a stretch without a match, relative to those before it, from which

@@ -14,10 +14,11 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats
+from ..geometry.surroundings import SURFACE_DEPTH
 from ..localisation.view_change import MAX_COMPARED_POINTS
 
-# Metres, side of a cell. Origin: chosen, a few times the noise of lidars; finer cells would only cost time.
-CELL = 0.1
+# Metres, side of a cell. Origin: definition; finer cells would only cost time.
+CELL = SURFACE_DEPTH
 # Cells along each side of the grid. Origin: geometry, two scans that both see MAX_RANGE do not overlap through the
 # wrap as long as they are taken less than 26 m apart.
 CELLS = 768

@@ -14,13 +14,14 @@ from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
+from ..matching.point_matcher import MIN_KNOWN_POINTS
 from ..odometry.history import wheel_travel
 
 # Metres and radians of motion between two scans that are checked: scans nearer to each other show nothing new.
 # Origin: chosen, about half the distance of keyframes; not measured.
 SAMPLE_DISTANCE, SAMPLE_TURN = 0.3, math.radians(10.0)
-# Returns below which a scan is not checked. Origin: chosen, a tenth of the beams of a half-circle lidar; not measured.
-MIN_POINTS = 20
+# Returns below which a scan is not checked. Origin: definition, as many as matching needs.
+MIN_POINTS = MIN_KNOWN_POINTS
 
 
 @immutable

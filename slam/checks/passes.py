@@ -18,14 +18,15 @@ from drivers.elapsed import elapsed
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import CORRIDOR_LENGTH
 from ..mapping.sight_lines import MIN_DEPTH
 from .distance_rings import CELL
 from .drive import Drive
 from .row_groups import MAX_GAP, consecutive_groups
 from .suspect import MAP, Suspect
 
-# Metres of driving between two passes of a place. Origin: chosen, more than one room; not measured.
-PASS_DISTANCE = 20.0
+# Metres of driving between two passes of a place. Origin: definition, the length of a corridor.
+PASS_DISTANCE = CORRIDOR_LENGTH
 # Metres; sight lines and points beyond are left out: half a degree moves them by more than a cell. Origin: chosen.
 MAX_RANGE = 15.0
 # Cells of the grid at most: larger areas have cells larger than CELL. Origin: numerical, 16 MB in two grids.

@@ -18,6 +18,7 @@ from ..geometry.membership import is_among
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.small_matrices import inverse
 from ..localisation.tracking import CONDITIONING, TrackingResult
+from ..odometry.error_model import MAX_LEARNING_SIGMA
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
 from .tracking_checkpoint import Anchor
@@ -37,8 +38,8 @@ FAMILIAR_VISITS = 2
 FAMILIAR_DISTANCE = 0.3  # Origin: as FAMILIAR_VISITS.
 FAMILIAR_TURN = np.radians(10.0)  # Origin: as FAMILIAR_VISITS.
 # Metres: if the features leave the position less certain than this in one direction, as along a corridor, more visits
-# are needed: later scans can only improve the position of keyframes. Origin: chosen; not measured.
-FAMILIAR_SIGMA = 0.05
+# are needed: later scans can only improve the position of keyframes. Origin: definition.
+FAMILIAR_SIGMA = MAX_LEARNING_SIGMA
 FAMILIAR_VISITS_IF_DEGENERATE = 6  # Origin: chosen; not measured.
 # Driving elsewhere between two visits, in spacings of keyframes: by default 6.6 m, or 200 degrees of turning. Keyframes
 # cannot be counted instead, as they are closer where much is new. Origin: chosen; not measured.

@@ -9,6 +9,7 @@ from features.corner_angle import MIN_SINE
 
 from ..events import Finished
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import SURFACE_DEPTH
 from ..geometry.wall_intersection import intersect_walls
 from ..graph.graph_estimate import Marginals
 from ..mapping.drift_covariance import DriftCovariance
@@ -19,8 +20,8 @@ from ..mapping.overlap_suppression import suppress_overlapping_walls
 from .slam_state import SlamState
 
 # Metres between a corner and the intersection of its walls above which the corner keeps its own estimate.
-# Origin: chosen; not measured.
-MAX_INTERSECTION_DISTANCE = 0.1
+# Origin: definition.
+MAX_INTERSECTION_DISTANCE = SURFACE_DEPTH
 
 
 def final_result(

@@ -17,6 +17,7 @@ from drivers import se2
 
 from ..config import Config
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import INDOOR_RANGE
 from ..localisation.local_field import LocalField, LocalFieldState
 from ..localisation.tracker import Tracker
 from ..localisation.tracking import PoseFix, TrackingResult
@@ -35,9 +36,8 @@ from ..recognition.location import LOST, Expectation
 from .plan_prior import PlanPrior
 from .tracking_checkpoint import Anchor, TrackingCheckpoint
 
-# Metres of local map around a robot whose pose was set from outside. Origin: chosen, a usual range indoors; not
-# measured.
-RELOCALISED_RADIUS = 12.0
+# Metres of local map around a robot whose pose was set from outside. Origin: definition.
+RELOCALISED_RADIUS = INDOOR_RANGE
 
 
 class SlamState:

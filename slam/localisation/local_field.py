@@ -14,8 +14,8 @@ from drivers.immutable import immutable
 
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import SURFACE_DEPTH
 from ..matching.distance_field import DistanceField
-from ..matching.offset_tiles import FIELD_CELL
 from ..matching.scan_features import ScanFeatures
 from .field_successor import FieldSuccessor, FieldSuccessorState
 from .match_target import points_of
@@ -29,9 +29,9 @@ MAX_CENTRE_DISTANCE = 8.0
 FAR_FROM_CENTRE = 2.0 * MAX_CENTRE_DISTANCE
 # Metres from a keyframe within which a scan shows mostly the same surfaces. Origin: chosen; not measured.
 REFERENCE_DISTANCE = 4.0
-# Metres by which the pose of a keyframe may have changed since its points were inserted. Origin: chosen, two cells; not
-# measured.
-MAX_DISPLACEMENT = 2.0 * FIELD_CELL
+# Metres by which the pose of a keyframe may have changed since its points were inserted. Origin: definition, its
+# surfaces would appear twice else.
+MAX_DISPLACEMENT = SURFACE_DEPTH
 
 
 @immutable

@@ -13,9 +13,10 @@ import numpy as np
 
 from drivers import se2
 from drivers.immutable import immutable
-from features.normal_limits import NORMAL_LIMIT
+from features.normal_limits import GROSS_LIMIT, NORMAL_LIMIT
 
 from ..geometry.segments import Floats
+from ..geometry.significance import MOST
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import Prediction
 from ..odometry.error_model import OdometryModel
@@ -24,12 +25,12 @@ from ..odometry.velocity import STEADY_SECONDS, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS
 from .tracking import CONDITIONING, PoseFix
 
-# Metres of wheel travel, by odometry or by the scans, over which they are compared. Origin: chosen, five times the
-# usual error of a pose and a reading; not measured.
-COMPARED_TRAVEL = 0.1
-# Share of its motion by which odometry must be wrong to be called slipping or standing still. Origin: chosen; errors of
-# calibration and ordinary slip are far below.
-GROSS_SHARE = 0.5
+# Metres of wheel travel, by odometry or by the scans, over which they are compared. Origin: definition, five times the
+# usual error of a pose, so that gross errors show.
+COMPARED_TRAVEL = GROSS_LIMIT * float(PREDICTION_SIGMAS[0])
+# Share of its motion by which odometry must be wrong to be called slipping or standing still. Origin: definition,
+# most of it: errors of calibration and ordinary slip are far below.
+GROSS_SHARE = MOST
 # Seconds of a comparison that count at most: a slip after a stop is one comparison, and does not last.
 # Origin: definition, it takes two comparisons at least.
 MAX_COMPARED_SECONDS = 0.5 * STEADY_SECONDS

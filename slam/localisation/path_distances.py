@@ -11,10 +11,11 @@ from drivers.immutable import immutable
 
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import CORRIDOR_LENGTH
 
 # Metres between keyframes along the drive, or along links between keyframes that saw the same place, up to which their
-# relative pose is well known. Origin: chosen, odometry and walls drift by less than a cell in it; not measured.
-MAX_PATH = 20.0
+# relative pose is well known. Origin: definition, errors of odometry are common to that length.
+MAX_PATH = CORRIDOR_LENGTH
 # Metres; smaller differences between two paths are rounding errors. Origin: numerical.
 ROUNDING = 1e-9
 

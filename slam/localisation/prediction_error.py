@@ -15,11 +15,11 @@ import numpy as np
 
 from ..geometry.normal_distribution import NORMAL_MEDIAN, NORMAL_MEDIAN_ERROR
 from ..geometry.segments import Floats
-from ..odometry.error_model import RANDOM_ERROR_SAMPLES
+from ..odometry.error_model import POSE_SIGMAS, RANDOM_ERROR_SAMPLES
 from ..odometry.systematic_errors import PRIOR_SAMPLES
 
-# Metres, metres, radians: standard deviations before any scan. Origin: chosen; no measurement recorded.
-PREDICTION_SIGMAS = np.array([0.02, 0.02, np.radians(1.0)])
+# Metres, metres, radians: standard deviations before any scan. Origin: definition, those of the poses.
+PREDICTION_SIGMAS = POSE_SIGMAS
 # Variance of a match in any direction, as a share of PREDICTION_SIGMAS squared, up to which it determines the error of
 # the prediction. Origin: chosen, a third in standard deviations; not measured.
 MAX_MATCH_SHARE = 0.1

@@ -10,6 +10,7 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.chi_square import chi_square_quantile
+from ..geometry.significance import GATE
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch
 from .match_target import ScanMatch
 from .prediction_error import PREDICTION_SIGMAS
@@ -20,8 +21,8 @@ from .predictions import Alternative, Predictions
 # with COARSE_SIGMA; with FINE_SIGMA, by which matches are compared, it was not measured again.
 AMBIGUITY = 10.0
 # Standard deviations of an even motion beyond which no robot moves, whatever odometry says.
-# Origin: chi-square, 3 dof, 99.7 %.
-MAX_SLIP = math.sqrt(chi_square_quantile(0.997, 3))
+# Origin: chi-square, 3 dof.
+MAX_SLIP = math.sqrt(chi_square_quantile(GATE, 3))
 
 
 @immutable

@@ -24,6 +24,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
+from ..geometry.surroundings import MIN_WALL_LENGTH
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, information_of
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
@@ -38,8 +39,6 @@ from .small_objects import SmallObjects, lasting_points
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
 from .view_change import MIN_POINTS, View, ViewComparison
 
-# Metres of all segments of a scan below which it counts as without walls. Origin: chosen; not measured.
-MIN_WALL_LENGTH = 0.5
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
 # well, the robot was kidnapped. Origin: chosen; no measurement recorded.
 SUSPICIOUS_DROP = 0.5

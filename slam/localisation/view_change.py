@@ -24,6 +24,8 @@ from features.rays import MISSING_STEPS
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
 from ..geometry.segments import Floats
+from ..geometry.significance import MOST
+from ..geometry.surroundings import INDOOR_RANGE
 from ..matching.scan_points import subsample
 from ..odometry.error_model import OdometryModel
 from ..odometry.history import wheel_travel
@@ -34,15 +36,15 @@ from ..odometry.history import wheel_travel
 ODOMETRY_ERRORS = np.stack(
     np.meshgrid([-0.1, 0.0, 0.1], [-0.1, 0.0, 0.1], np.radians(np.arange(-16.0, 16.1, 2.0)), indexing="ij"), axis=-1
 ).reshape(-1, 3)
-# Share of agreeing points above which two scans show the same place. Origin: measured. Consecutive scans of nine
-# recordings and six simulated drives, some with 30 points, reach at least 0.58. The medians of scans from elsewhere are
-# 0 to 0.44 on these drives, except for 0.85 in a bare corridor.
-SAME_PLACE_SHARE = 0.5
+# Share of agreeing points above which two scans show the same place. Origin: definition, most of them. Consecutive
+# scans of nine recordings and six simulated drives, some with 30 points, reach at least 0.58. The medians of scans from
+# elsewhere are 0 to 0.44 on these drives, except for 0.85 in a bare corridor.
+SAME_PLACE_SHARE = MOST
 # Metres beyond the ranges of the neighbouring beams within which a point agrees. Origin: chosen, what the steps of
 # ODOMETRY_ERRORS leave: 0.05 m, and 1 degree, which is 0.1 m at a range of 6 m; not measured.
 MARGIN = 0.15
-# Metres around the robot within which points are compared. Origin: chosen, a usual range indoors; not measured.
-COMPARED_RADIUS = 12.0
+# Metres around the robot within which points are compared. Origin: definition.
+COMPARED_RADIUS = INDOOR_RANGE
 # Points of a scan that are compared with others, evenly subsampled. Origin: chosen, for speed; not measured.
 MAX_COMPARED_POINTS = 120
 # Points that a scan without walls needs to be tracked, and both scans of a comparison: few points fit nearly

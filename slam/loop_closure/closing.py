@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
+from ..geometry.significance import SUPPORT_RATIO
 from ..graph.factor_graph import CLOSING_UPDATES
 from ..graph.factors import Factor, FactorKind
 from ..mapping.mapper import Mapper
 from ..mapping.wall_merging import find_overlaps
-from .criteria import SUPPORT_RATIO
 from .decision import LoopDecision, LoopMatch
 from .look import SEARCH_INTERVAL
 from .loop_status import LoopStatus

@@ -11,6 +11,7 @@ from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.chi_square import chi_square_quantile
 from ..geometry.pose_covariance import position_sigma
+from ..geometry.significance import STRICT_GATE, SUPPORT_RATIO
 from ..matching.offset_tiles import MAX_CORRECTED_SIGMA
 from .decision import Check, LoopDecision
 from .look import SEARCH_INTERVAL, Look
@@ -23,16 +24,13 @@ MIN_LOOP_FIT = MIN_SCREENING_FIT
 # Least share of the submap in space that the old place has seen. Origin: chosen, not measured.
 MIN_KNOWN = 0.4
 # Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
-# if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof, 95 %.
-MAX_CLOSED_DISTANCE = chi_square_quantile(0.95, 3)
+# if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof.
+MAX_CLOSED_DISTANCE = chi_square_quantile(STRICT_GATE, 3)
 # Looks that must support a hypothesis. Origin: definition, one proposes it, and another one tests it.
 MIN_SUPPORT = 2
 # Looks that must support a hypothesis that leads to another place, or contradict the estimate before it is in doubt.
 # Origin: definition, so many that the first and the last one have no point in common.
 MIN_INDEPENDENT = math.ceil(SUBMAP_LENGTH / SEARCH_INTERVAL) + 1
-# Looks that support a hypothesis for each that contradicts it, and for each that supports a rival.
-# Origin: chosen, doors and people make a true place look wrong now and then; not measured.
-SUPPORT_RATIO = 3.0
 
 
 def fits(match: SubmapMatch) -> bool:

@@ -11,6 +11,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats, Integers, Segments
+from ..geometry.surroundings import ROOM_SIZE
 from ..mapping.landmarks import Landmarks
 from ..mapping.wall_removal import RIGID_DISTANCE
 
@@ -18,8 +19,8 @@ from ..mapping.wall_removal import RIGID_DISTANCE
 # considered.
 OLD_DISTANCE = RIGID_DISTANCE
 # Metres of driving without an observation from which on an old wall is not seen any more.
-# Origin: chosen, shortened from 8 m during development on recordings; not measured.
-RECENT_DISTANCE = 6.0
+# Origin: definition, the robot has left the room.
+RECENT_DISTANCE = ROOM_SIZE
 # Positions on a segment, from -1 to 1 between its ends, to which lines of sight are drawn.
 # Origin: chosen, the middle and both ends without their outermost parts; not measured.
 SIGHT_LINE_TARGETS = (-0.8, 0.0, 0.8)

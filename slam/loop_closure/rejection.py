@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from .criteria import SUPPORT_RATIO
+from ..geometry.significance import SUPPORT_RATIO
 from .decision import Check, LoopDecision
 from .loop_status import LoopStatus
 

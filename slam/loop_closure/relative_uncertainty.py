@@ -10,11 +10,12 @@ import numpy as np
 from ..geometry.chi_square import chi_square_quantile
 from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats, Integers
+from ..geometry.significance import GATE
 from ..mapping.mapper import Mapper
 from .submap_search import SUBMAP_LENGTH
 
-# Largest squared Mahalanobis distance. Origin: chi-square, 3 dof, 99.9 %.
-MAX_SQUARED_DISTANCE = chi_square_quantile(0.999, 3)
+# Largest squared Mahalanobis distance. Origin: chi-square, 3 dof.
+MAX_SQUARED_DISTANCE = chi_square_quantile(GATE, 3)
 # Standard deviations of the estimate within which places are searched. Origin: definition, all places that
 # MAX_SQUARED_DISTANCE admits. If only nearer ones were searched, a place that looks like the right one might be among
 # them, and the right one, its rival, not.

@@ -20,15 +20,16 @@ from drivers.immutable import immutable
 
 from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.segments import Floats
+from ..geometry.surroundings import ROOM_SIZE
 from ..matching.distance_field import DistanceField, facing_grid
-from ..matching.offset_tiles import FIELD_CELL
+from ..matching.offset_tiles import FIELD_CELL, MAX_DISTANCE
 from ..matching.point_costs import COARSE_SIGMA, MISFIT, SEARCH_TURN_STEP, UNSEEN, cost_at
 from ..matching.point_matcher import MAX_SEARCH_POINTS, Prediction, match_from, point_cost
 from ..matching.scan_points import FINE_SIGMA, subsample
 
 # Metres of driving whose keyframes are the submap. Looks farther apart have no point in common.
-# Origin: chosen, about the size of a room; not measured.
-SUBMAP_LENGTH = 6.0
+# Origin: definition.
+SUBMAP_LENGTH = ROOM_SIZE
 # Metres of driving from which on the robot has come back to a place, and has not just stayed there: the recent submap
 # and that of the old place do not overlap then. Origin: definition.
 REVISIT_GAP = 2.0 * SUBMAP_LENGTH
@@ -47,8 +48,9 @@ MIN_SCREENING_FIT = 1.0 - UNSEEN / MISFIT
 # Metres and radians: standard deviation added to a match's own, from the submaps' own distortion, which is that of a
 # point, and its angle over the length of a submap.
 DISTORTION_SIGMAS = np.array([FINE_SIGMA, FINE_SIGMA, FINE_SIGMA / SUBMAP_LENGTH])
-# Metres between two robot positions from which on they are different places. Origin: chosen; not measured.
-DISTINCT_SHIFT = 0.5
+# Metres between two robot positions from which on they are different places. Origin: definition, Gauss-Newton does not
+# lead from one to the other.
+DISTINCT_SHIFT = MAX_DISTANCE
 # Radians, likewise; either suffices. Origin: chosen; not measured.
 DISTINCT_TURN = math.radians(10.0)
 # Information (3, 3) of a prediction that says nothing. Origin: definition.

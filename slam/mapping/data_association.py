@@ -16,8 +16,11 @@ from drivers.compiled import compiled, inlined
 from drivers.immutable import immutable
 
 from ..geometry.angles import wrap_angle
+from ..geometry.chi_square import chi_square_quantile
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
+from ..geometry.significance import GATE
 from ..geometry.small_matrices import bilinear_form, mahalanobis_squared, quadratic_form
+from ..geometry.surroundings import DOOR_WIDTH
 from .local_map import (
     MAX_HEADING_DIFFERENCE,
     MAX_OFFSET,
@@ -27,10 +30,10 @@ from .local_map import (
 )
 from .wall_cells import WALL_CELL
 
-# Squared Mahalanobis distance between a feature and its landmark. Origin: chi-square, 2 dof, 99.9 %.
-ASSOCIATION_GATE = 13.8
-# Metres between the known extent of a wall and a segment that continues it. Origin: chosen, a door; not measured.
-MAX_GAP = 1.0
+# Squared Mahalanobis distance between a feature and its landmark. Origin: chi-square, 2 dof.
+ASSOCIATION_GATE = chi_square_quantile(GATE, 2)
+# Metres between the known extent of a wall and a segment that continues it. Origin: definition, a door.
+MAX_GAP = DOOR_WIDTH
 # Metres by which two segments of one wall may overlap in one scan, by errors of their ends.
 # Origin: chosen, one cell of coverage; not measured.
 MAX_OVERLAP_IN_SCAN = WALL_CELL

@@ -18,6 +18,7 @@ from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers, Segments
+from ..geometry.surroundings import DOOR_WIDTH
 from .landmarks import Landmarks
 from .map_features import MapWalls
 from .plan import Plan
@@ -25,8 +26,8 @@ from .plan_views import RaysFromPlace, cast_views
 from .ray_casting import pieces_near_line
 from .wall_cells import END_ERROR_CELLS, WALL_CELL, cells_between
 
-# Metres between two pieces of one wall: a double door. Origin: chosen; not measured.
-MAX_PIECE_GAP = 2.0
+# Metres between two pieces of one wall: a double door. Origin: definition.
+MAX_PIECE_GAP = 2.0 * DOOR_WIDTH
 # Metres of a piece that has a direction of its own: what is shorter may be an error of the end of another one.
 MIN_PIECE = END_ERROR_CELLS * WALL_CELL
 # Metres of a face that a view must show, more than by what its ends may be wrong.

@@ -14,12 +14,13 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import MIN_WALL_LENGTH
 from .data_association import ASSOCIATION_GATE
 from .local_map import MAX_HEADING_DIFFERENCE, MAX_OFFSET, MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE
 from .map_features import MapWalls
 
-# Metres that two walls must have in common to be compared, or to be the same. Origin: chosen; not measured.
-MIN_COMMON_LENGTH = 0.5
+# Metres that two walls must have in common to be compared, or to be the same. Origin: definition.
+MIN_COMMON_LENGTH = MIN_WALL_LENGTH
 # Share of the covariance of a plan's wall below which the difference from it is certain to be small.
 # Origin: numerical.
 MIN_REST = 1e-3

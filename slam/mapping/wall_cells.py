@@ -15,15 +15,16 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.segments import Floats
+from ..geometry.surroundings import DOOR_WIDTH, SURFACE_DEPTH
 from .landmark_table import NEVER_REMOVED
 
-# Metres of wall per cell of coverage. Origin: chosen, finer than a door or a pillar; not measured.
-WALL_CELL = 0.1
+# Metres of wall per cell of coverage. Origin: definition, as ends of walls are not known better.
+WALL_CELL = SURFACE_DEPTH
 # Metres across a wall within which a point lies on it. Origin: chosen; not measured.
 ON_WALL_DISTANCE = 0.15
 # Metres between two observed stretches of a wall from which on they are separate pieces: a door or a passage.
-# Origin: chosen, less than the width of a door; not measured.
-MIN_GAP_BETWEEN_PIECES = 0.5
+# Origin: definition, half a door, as its ends may have errors.
+MIN_GAP_BETWEEN_PIECES = 0.5 * DOOR_WIDTH
 # Cells by which the end of what was observed of a wall may be wrong, as it is that of a segment, or a sight line has
 # passed by: two stretches with no more between them are one, and no more of a wall shows nothing.
 # Origin: chosen, 0.2 m; not measured.

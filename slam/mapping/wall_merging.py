@@ -19,6 +19,8 @@ from ..geometry.angles import axes_of, wrap_angle
 from ..geometry.chi_square import chi_square_quantile
 from ..geometry.membership import is_among
 from ..geometry.segments import Floats, Integers
+from ..geometry.significance import STRICT_GATE
+from ..geometry.surroundings import SURFACE_DEPTH
 from ..graph.factor_graph import FactorGraph
 from .keyframes import WallMerge
 from .landmarks import Landmarks
@@ -27,11 +29,11 @@ from .unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .wall_cells import END_ERROR_CELLS, WALL_CELL
 
 # Squared Mahalanobis distance between two walls that may be one. Stricter than the association gate, as a merge is
-# final. Origin: chi-square, 2 dof, 95 %.
-MERGE_GATE = chi_square_quantile(0.95, 2)
+# final. Origin: chi-square, 2 dof.
+MERGE_GATE = chi_square_quantile(STRICT_GATE, 2)
 # Metres between two walls that may be one, in the middle of their overlap, however large their covariances.
-# Origin: chosen, less than the thickness of walls and furniture; not measured.
-MAX_MERGE_OFFSET = 0.10
+# Origin: definition, walls and furniture are thicker.
+MAX_MERGE_OFFSET = SURFACE_DEPTH
 # Radians between two walls that may be one. Origin: chosen; not measured.
 MAX_MERGE_HEADING = math.radians(4.0)
 # Keyframes that must have observed a wall before it is merged by its covariance relative to the robot alone.

@@ -14,6 +14,8 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.significance import SUPPORT_RATIO
+from ..geometry.surroundings import ROOM_SIZE
 from .landmarks import Landmarks
 from .sight_lines import WallsInView, cells_seen_through, walls_in_view
 from .wall_cells import END_ERROR_CELLS, MIN_GAP_BETWEEN_PIECES, WALL_CELL
@@ -22,8 +24,8 @@ from .wall_cells import END_ERROR_CELLS, MIN_GAP_BETWEEN_PIECES, WALL_CELL
 # Origin: chosen, less than the distance between keyframes; not measured.
 MIN_STEP = 0.2
 # Scans seeing through a cell that one scan seeing something there takes back: glass that more than a quarter of the
-# scans see stays. Origin: chosen; not measured.
-SEEN_WEIGHT = 3
+# scans see stays. Origin: definition.
+SEEN_WEIGHT = round(SUPPORT_RATIO)
 # Scans that must have seen through a cell of a well-observed wall; fewer if the wall has fewer observations than that.
 # Origin: chosen; not measured.
 MAX_REQUIRED_SCANS = 6
@@ -37,11 +39,11 @@ RIGID_DISTANCE = 15.0
 # observed no later than the wall in question was last observed (see `_supported`).
 # Metres of them in every direction. Origin: chosen; not measured.
 MIN_SUPPORT = 1.0
-# Ratio of their length to the length that the scan sees through. Origin: chosen; not measured.
-MIN_SUPPORT_RATIO = 3.0
+# Ratio of their length to the length that the scan sees through. Origin: definition.
+MIN_SUPPORT_RATIO = SUPPORT_RATIO
 # Metres of driving for which no scan counts after `suspend`: the next search for loops is within it.
-# Origin: chosen, one and a half intervals of that search; not measured.
-SUSPENSION_DISTANCE = 3.0
+# Origin: definition, one and a half intervals of that search, each of a third of a submap.
+SUSPENSION_DISTANCE = 0.5 * ROOM_SIZE
 
 
 class FreeSpaceEvidence:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from drivers.compiled import inlined
 
+from ..geometry.surroundings import SURFACE_DEPTH
 from .offset_tiles import FIELD_CELL
 from .scan_points import LINE_DISTANCE
 
@@ -28,8 +29,8 @@ SEEN_CELL = 0.25
 # The same in cells of the distance field. Origin: definition.
 SEEN_CELLS = round(SEEN_CELL / FIELD_CELL)
 # Metres from the nearest known point beyond which a point in free space is on no known surface, and side of the cells
-# in which points wait. Origin: chosen, as far as the noise of usual lidars moves a point.
-NEW_SURFACE = 0.1
+# in which points wait. Origin: definition.
+NEW_SURFACE = SURFACE_DEPTH
 # The side of these cells in cells of the distance field. Origin: definition.
 WAITING_CELLS = round(NEW_SURFACE / FIELD_CELL)
 # Scans in a row that have a point at a place if a body rests there. Origin: geometry, a position that is quadratic in

@@ -6,17 +6,19 @@ import math
 from typing import NamedTuple
 
 from drivers.compiled import inlined
+from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats
 from ..mapping.data_association import MAX_CORNER_HEADING_DIFFERENCE
+from ..mapping.wall_cells import MIN_GAP_BETWEEN_PIECES
 
-# Metres beyond the known end of a wall in which a segment still overlaps with it.
-# Origin: chosen, walls continue beyond what was seen of them; not measured.
-MATCH_END_MARGIN = 0.5
+# Metres beyond the known end of a wall in which a segment still overlaps with it, as walls continue beyond what was
+# seen of them. Origin: definition, so near it is of the same piece of the wall.
+MATCH_END_MARGIN = MIN_GAP_BETWEEN_PIECES
 # Scale of the Cauchy kernel, standard deviations: an observation or prediction this far off has half weight.
-# Origin: chosen, the usual range of robust kernels; not measured.
-MATCH_CAUCHY_SCALE = 3.0
+# Origin: definition, the limit of normal errors.
+MATCH_CAUCHY_SCALE = NORMAL_LIMIT
 
 
 class SegmentArrays(NamedTuple):

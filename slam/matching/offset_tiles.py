@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from drivers.compiled import inlined
 from features.normal_limits import NORMAL_LIMIT
 
-# Metres, side of a cell. Origin: chosen, the noise of usual lidars; distances are interpolated between cells.
-FIELD_CELL = 0.05
+from ..geometry.surroundings import SURFACE_DEPTH
+
+# Metres, side of a cell; distances are interpolated between cells. Origin: definition, two cells between surfaces.
+FIELD_CELL = 0.5 * SURFACE_DEPTH
 # Metres: larger distances are not stored. It is also how far a pose may be off for Gauss-Newton to correct it.
 # Origin: chosen, about the width of a corridor's furniture; not measured.
 MAX_DISTANCE = 0.5

@@ -30,6 +30,7 @@ from ..geometry.angles import wrap_angle
 from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.segments import Floats
+from ..geometry.significance import MOST
 from ..geometry.small_matrices import (
     inverse,
     log_determinant,
@@ -38,6 +39,7 @@ from ..geometry.small_matrices import (
     solution,
     without_negative_part,
 )
+from ..odometry.continuity import MIN_JUMP
 from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import MATCH_CAUCHY_SCALE
@@ -56,17 +58,17 @@ POINTS_PER_OBJECT = 5.0
 MAX_STEPS = 20
 # Metres and radians below which a step is the last one. Origin: numerical, far below the accuracy.
 LAST_STEP = 1e-4
-# Fit below which a match is not accepted. Origin: chosen, half of the points in seen space fit; not measured.
-MIN_FIT = 0.5
+# Fit below which a match is not accepted. Origin: definition, most of the points in seen space fit.
+MIN_FIT = MOST
 # Fit below which poses around the prediction are searched. Origin: measured, nine of ten scans of recordings fit
 # better.
 SEARCH_FIT = 0.85
 # Points in seen space that are needed to judge a fit. Origin: chosen; not measured.
 MIN_KNOWN_POINTS = 20
-# Metres and radians: largest distance of a searched pose from the prediction. Origin: chosen, for speed: a sparse log
-# has a scan a metre and turns 40 degrees between two scans.
-MAX_SEARCH_SHIFT = 1.5
-MAX_SEARCH_TURN = math.radians(60.0)  # Origin: as MAX_SEARCH_SHIFT.
+# Metres: largest distance of a searched pose from the prediction. Origin: definition, longer motions may be jumps.
+MAX_SEARCH_SHIFT = MIN_JUMP
+# Radians, likewise. Origin: chosen, for speed: a sparse log turns 40 degrees between two scans.
+MAX_SEARCH_TURN = math.radians(60.0)
 # Largest number of predictions for which a good match near the first one suffices. If there are more, there is more
 # doubt than usual, and the poses around each are searched. Origin: definition, those of odometry, of a slip, and of
 # odometry that has caught up; there are more if a pose is tentative.

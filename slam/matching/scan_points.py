@@ -12,6 +12,7 @@ from ..geometry.angles import axes_of
 from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats, Integers, Segments
+from ..geometry.surroundings import SURFACE_DEPTH
 
 # Points of one scan that are kept; denser scans are subsampled. Origin: chosen, above the 361 beams of a half-circle
 # lidar with half-degree steps: a limit of 360 left out every other of them.
@@ -27,9 +28,8 @@ MAX_POINT_UNITS = 2e6
 # 0.03 agrees best among 0.03, 0.05 and 0.10 on eight of them.
 FINE_SIGMA = 0.03
 
-# Metres between a point and the line of a segment on which it lies.
-# Origin: chosen; not measured.
-LINE_DISTANCE = 0.1
+# Metres between a point and the line of a segment on which it lies. Origin: definition.
+LINE_DISTANCE = SURFACE_DEPTH
 # Half lengths of a segment, from its middle, up to which points are on its line.
 # Origin: chosen, the segment's length beyond either end; not measured.
 CONTINUATION = 3.0

@@ -22,7 +22,8 @@ from .history import wheel_travel
 from .measurement_clock import MeasurementClock
 
 # Metres from which a motion between two readings may be a jump: tracking searches poses up to here, and stamps that are
-# wrong by half a second make such motions fast. Origin: chosen, as MAX_SEARCH_SHIFT of the matching of points.
+# wrong by half a second make such motions fast. Origin: chosen, for speed: a sparse log has
+# a scan a metre.
 MIN_JUMP = 1.5
 # Metres per second from which it is a jump. Origin: chosen, more than any robot with a two-dimensional lidar drives.
 MIN_JUMP_SPEED = 30.0

@@ -12,6 +12,7 @@ from ..config import OdometryConfig
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
+from ..geometry.surroundings import CORRIDOR_LENGTH
 from .history import wheel_travel
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
 from .systematic_errors import MIN_MOTION_TRAVEL, PERFECT, SystematicErrors
@@ -24,13 +25,16 @@ MAX_MOTION_SAMPLES = 500
 # Metres: motions are not used for learning if the standard deviation of registration exceeds this in some direction.
 # Origin: chosen, about the odometry error of one motion; not measured.
 MAX_LEARNING_SIGMA = 0.05
+# Metres, metres, radians: standard deviations of a tracked pose, relative to its keyframe.
+# Origin: chosen; no measurement recorded.
+POSE_SIGMAS = np.array([0.02, 0.02, math.radians(1.0)])
 # Metres: drift is correlated in a direction in which the standard deviation of registration exceeds this.
 # Origin: chosen, worse than odometry over some metres; not measured.
 UNOBSERVED_SIGMA = 0.3
 # Metres of travel over which odometry errors are taken as equal, e.g. those of a wrong wheel diameter. This matters
 # only if many motions in a row are not corrected by registration.
-# Origin: chosen, the length of a corridor; not measured.
-CORRELATION_LENGTH = 20.0
+# Origin: definition.
+CORRELATION_LENGTH = CORRIDOR_LENGTH
 # Variance of the middle of a parabola fitted to a random walk with the variance 1 at both ends, and 0 in the middle.
 # Origin: definition, 2 int_0^1 (int_x^1 w)^2 dx with the weights w(u) = (9 - 15 u^2) / 8 of the fit.
 PARABOLA_VARIANCE = 9.0 / 112.0

@@ -10,15 +10,15 @@ from drivers import se2
 
 from ..config import OdometryConfig
 from ..geometry.normal_distribution import NORMAL_MEDIAN, PLANE_MEDIAN
-from .error_model import OdometryModel
+from .error_model import POSE_SIGMAS, OdometryModel
 from .systematic_errors import PRIOR_SAMPLES, SystematicErrors
 
 # Metres and radians: errors of a prediction before any driving. Origin: chosen, an acceleration of 1 m/s^2 or 3 rad/s^2
 # for half a second.
 INITIAL_FLOORS = np.array([0.12, 0.37])
-# Metres and radians: smallest errors of a prediction, which no wheels have measured. Origin: chosen, the noise of the
-# poses that the velocity is taken from.
-MIN_FLOORS = np.array([0.02, math.radians(1.0)])
+# Metres and radians: smallest errors of a prediction, which no wheels have measured. Origin: definition, the noise of
+# the poses that the velocity is taken from.
+MIN_FLOORS = POSE_SIGMAS[1:]
 # Metres: without odometry, the motion is not determined in a direction in which the standard deviation of registration
 # exceeds this: then it rests on one object, which may fit by chance, as the last points of a corridor's walls do at the
 # end of the lidar's range. Origin: geometry, five points with a standard deviation of 0.03 m.

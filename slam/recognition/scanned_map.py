@@ -18,6 +18,7 @@ from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import DOOR_WIDTH, SURFACE_DEPTH
 from ..localisation.local_field import LocalField
 from ..loop_closure.submap_search import DISTORTION_SIGMAS, REVISIT_GAP, build_submap
 from ..mapping.mapper import Mapper
@@ -31,9 +32,9 @@ from .map_descriptor import MapDescriptor
 from .map_index import MapIndex, index_map
 from .points_at_rest import points_at_rest
 
-# Metres, side of a cell: the width of a door, or of a piece of furniture. Origin: chosen, with 2 m the walls of a
-# single room are too few cells to decide by.
-EVIDENCE_CELL = 1.0
+# Metres, side of a cell: the width of a door, or of a piece of furniture. Origin: definition; with 2 m the walls of
+# a single room are too few cells to decide by.
+EVIDENCE_CELL = DOOR_WIDTH
 # Metres of a wall that is not a piece of furniture. Origin: chosen, longer than usual tables and cupboards.
 MIN_WALL_LENGTH = 3.0
 # Metres from the median position along x and y up to which a map is searched: memory grows with the square, and one

@@ -17,6 +17,7 @@ from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
+from ..geometry.significance import MOST
 from ..loop_closure.submap_search import DISTINCT_SHIFT, DISTINCT_TURN
 from .map_descriptor import MapDescriptor
 
@@ -32,8 +33,8 @@ MAX_PAIR_DISTANCE = 8.0
 MIN_VOTING_LENGTH = 0.3
 # Longest walls of the submap that vote. Origin: chosen, for speed; not measured.
 MAX_VOTING_WALLS = 16
-# Share of the shorter of two walls that must overlap with the other. Origin: chosen; not measured.
-MIN_OVERLAP_SHARE = 0.5
+# Share of the shorter of two walls that must overlap with the other. Origin: definition, most of it.
+MIN_OVERLAP_SHARE = MOST
 # Metres of wall, largest vote of one pair, so that the walls of a corridor do not outvote all others.
 # Origin: chosen; not measured.
 MAX_PAIR_VOTE = 2.0

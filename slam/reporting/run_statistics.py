@@ -13,9 +13,9 @@ import numpy as np
 from ..estimation.scan_update import KeyframeUpdate
 from ..estimation.slam_state import SlamState
 from ..estimation.stage_timer import StageTimer
+from ..geometry.surroundings import MIN_WALL_LENGTH
 from ..graph.range_bias import RangeBias
 from ..localisation.state import LocalisationState, LocalisationStatus
-from ..localisation.tracker import MIN_WALL_LENGTH
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus

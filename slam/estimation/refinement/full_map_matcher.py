@@ -22,6 +22,7 @@ from drivers.immutable import immutable
 from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
+from ...geometry.surroundings import ROOM_SIZE
 from ...localisation.match_target import MatchTarget
 from ...localisation.path_distances import PathDistances
 from ...localisation.slip_statistics import SlipStatistics
@@ -45,8 +46,8 @@ TILE = 4.0
 # Metres from the centre of a tile to each side of its field. Origin: chosen, a usual range indoors; not measured.
 FIELD_HALF_WIDTH = 14.0
 # Metres from the centre of a tile within which keyframes contribute points to its distance field.
-# Origin: chosen; not measured.
-FIELD_RADIUS = 6.0
+# Origin: definition.
+FIELD_RADIUS = ROOM_SIZE
 # Maximum number of keyframes per distance field, evenly selected. Origin: chosen, bounds the time; not measured.
 MAX_FIELD_KEYFRAMES = 40
 # Distance fields that are kept, those needed again soonest: the robot returns to tiles.
