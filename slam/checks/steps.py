@@ -17,6 +17,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.segments import Floats
+from ..geometry.surroundings import ROOM_SIZE
 from ..localisation.odometry_comparison import GROSS_SHARE
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..odometry.history import wheel_travel
@@ -45,8 +46,8 @@ MAX_SEARCH = np.array([0.8, 0.8, math.radians(25.0)])
 # before. Origin: numerical, steps of the first search stay within the reach of the local field.
 FIRST_GRID, FINER_GRID, FINER_WIDTHS = 9, 5, (0.25, 0.5)
 # Metres of odometry between two scans above which the local field says nothing about a step.
-# Origin: chosen, as far as one sees into the next room; not measured.
-MAX_STEP = 5.0
+# Origin: definition, as far as one sees into the next room.
+MAX_STEP = ROOM_SIZE
 
 
 @dataclass(slots=True, eq=False)

@@ -19,6 +19,7 @@ import numpy as np
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import ROOM_SIZE
 from ..mapping.map_features import MapWalls
 from .row_groups import consecutive_groups
 
@@ -43,8 +44,8 @@ MAX_SOURCE_LENGTH = 10.0
 # Origin: chosen, the width of a corridor, and a way that is not turning on the spot; not measured.
 PASSAGE_DISTANCE, PASSAGE_TRAVEL = 1.5, 10.0
 # Metres: parts of the map that begin one after the other within this distance are one place.
-# Origin: chosen, the size of a room: one drive joins them; not measured.
-PARTS_DISTANCE = 5.0
+# Origin: definition, one drive in a room joins them.
+PARTS_DISTANCE = ROOM_SIZE
 # Keyframes that observe a wall at least if it is well observed. Origin: definition, two confirm it only.
 MIN_OBSERVATIONS = 3
 

@@ -23,6 +23,7 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.small_matrices import inverse
+from ..geometry.surroundings import INDOOR_RANGE
 from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
@@ -39,8 +40,8 @@ from .stage_timer import StageTimer
 # from elsewhere in the same building 0 to 5 %.
 DECIDING_MARGIN = 3
 # Metres of driving after which the test ends: the map of the earlier part does not extend farther. People may surround
-# the robot for most of this way, so the test is not lost before. Origin: chosen, the reach of usual lidars indoors.
-MAX_TEST_DISTANCE = 10.0
+# the robot for most of this way, so the test is not lost before. Origin: definition.
+MAX_TEST_DISTANCE = INDOOR_RANGE
 
 
 class EarlierPart:

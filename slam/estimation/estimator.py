@@ -15,6 +15,7 @@ import numpy as np
 from drivers import se2
 from drivers.immutable import immutable
 
+from ..geometry.surroundings import INDOOR_RANGE
 from ..localisation.tracking import TrackingResult
 from ..loop_closure.decision import LoopDecision
 from ..loop_closure.loop_status import LoopStatus
@@ -31,8 +32,8 @@ from .slam_state import SlamState
 from .stage_timer import StageTimer
 
 # Metres of driving after which a robot that was not carried, and is not recognised where odometry has it, is in a new
-# place. Origin: chosen; not measured.
-MAX_SEARCH_DISTANCE = 10.0
+# place. Origin: definition, the map of the known place does not extend farther.
+MAX_SEARCH_DISTANCE = INDOOR_RANGE
 
 
 @immutable

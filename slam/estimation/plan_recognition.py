@@ -16,13 +16,15 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
+from ..geometry.significance import MOST
+from ..geometry.surroundings import INDOOR_RANGE
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE, UNMODELLED_SIGMAS
 from ..mapping.plan_map import PlanMap
 from ..mapping.plan_mapper import plan_mapper
 from ..matching.point_matcher import POINT_SPACING
 from ..matching.scan_points import surface_points
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
-from ..recognition.drive_scans import DriveScans
+from ..recognition.drive_scans import SEARCH_DISTANCE, DriveScans
 from ..recognition.location import STATED, locate
 from ..recognition.map_descriptor import describe_map, express_in_frame
 from ..recognition.map_index import MIN_WALLS, MapIndex, index_map
@@ -34,14 +36,15 @@ if TYPE_CHECKING:
     from ..localisation.local_field import LocalField
     from ..mapping.mapper import Mapper
 
-# Metres of driving whose walls are compared with the plan. Origin: chosen, some rooms; not measured.
-RECENT_DISTANCE = 15.0
-# Keyframes and metres of driving between two searches. Origin: chosen; not measured.
+# Metres of driving whose walls are compared with the plan. Origin: definition, two rooms.
+RECENT_DISTANCE = INDOOR_RANGE
+# Keyframes between two searches. Origin: chosen; not measured.
 ATTEMPT_KEYFRAMES = 3
-ATTEMPT_DISTANCE = 1.0  # Origin: as ATTEMPT_KEYFRAMES.
+# Metres of driving between them. Origin: definition, as for any map.
+ATTEMPT_DISTANCE = SEARCH_DISTANCE
 # Share of the observed wall length that must lie on the plan's walls at a roughly known pose.
-# Origin: chosen; not measured.
-MIN_WALLS_ON_PLAN = 0.55
+# Origin: definition, most of it.
+MIN_WALLS_ON_PLAN = MOST
 
 
 @immutable

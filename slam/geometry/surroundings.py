@@ -23,3 +23,5 @@ INDOOR_RANGE = 2.0 * ROOM_SIZE
 # Metres of driving over which errors of odometry are common, and small enough to tell places: the length of a corridor.
 # Origin: chosen; not measured.
 CORRIDOR_LENGTH = 20.0
+# Metres that no building exceeds. Origin: chosen; not measured.
+BUILDING_SIZE = 1000.0

@@ -55,8 +55,8 @@ MIN_POINTS = 30
 MAX_TRAVEL = 0.1
 
 # Metres of wheel travel for which a changed view counts as recent: look-alike places differ some way on.
-# Origin: chosen; no measurement recorded.
-VIEW_CHANGE_MEMORY = 10.0
+# Origin: definition, what is seen from there has been left behind then.
+VIEW_CHANGE_MEMORY = INDOOR_RANGE
 
 
 @immutable

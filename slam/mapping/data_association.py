@@ -28,7 +28,7 @@ from .local_map import (
     MAX_PREDICTED_VARIANCE,
     LocalMap,
 )
-from .wall_cells import WALL_CELL
+from .wall_cells import ON_WALL_DISTANCE, WALL_CELL
 
 # Squared Mahalanobis distance between a feature and its landmark. Origin: chi-square, 2 dof.
 ASSOCIATION_GATE = chi_square_quantile(GATE, 2)
@@ -45,8 +45,9 @@ AMBIGUOUS_HEADING = math.radians(6.0)
 # Radians between the walls at an observed corner and those of its landmark. Origin: chosen, twice the widest heading
 # gate of segments; not measured.
 MAX_CORNER_HEADING_DIFFERENCE = math.radians(20.0)
-# Metres: a corner this close to a known one, but outside the gate, is ambiguous. Origin: chosen; not measured.
-AMBIGUOUS_CORNER = 0.15
+# Metres: a corner this close to a known one, but outside the gate, is ambiguous. Origin: definition, walls end so near
+# to it.
+AMBIGUOUS_CORNER = ON_WALL_DISTANCE
 # Values in place of a row of the local map. Origin: definition.
 UNMATCHED, AMBIGUOUS = -1, -2
 

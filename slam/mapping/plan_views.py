@@ -11,6 +11,7 @@ from features.normal_limits import NORMAL_LIMIT
 
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import CORRIDOR_LENGTH
 from .plan import Plan
 from .ray_casting import SegmentIndex, cast_rays, mark_near, tour
 
@@ -21,10 +22,10 @@ VIEWPOINT_SPACING = 1.5
 VIEWPOINT_CLEARANCE = 0.35
 # Metres within which a place of the file is near enough to another one. Origin: definition, as the spacing.
 SAME_PLACE = 0.5 * VIEWPOINT_SPACING
-# Rays from a place. Origin: chosen, one per degree, as of a lidar.
+# Rays from a place. Origin: definition, one per degree.
 RAYS = 360
-# Metres that a ray reaches. Origin: chosen, farther walls are seen from nearer places.
-RAY_REACH = 20.0
+# Metres that a ray reaches: farther walls are seen from nearer places. Origin: definition.
+RAY_REACH = CORRIDOR_LENGTH
 # Share of the rays from a place that must meet a visible side: otherwise it is outside of the building.
 # Origin: definition, most of them.
 MIN_MEETING = 0.5

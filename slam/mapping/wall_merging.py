@@ -24,7 +24,7 @@ from ..geometry.surroundings import SURFACE_DEPTH
 from ..graph.factor_graph import FactorGraph
 from .keyframes import WallMerge
 from .landmarks import Landmarks
-from .local_map import MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE, LocalMap
+from .local_map import MAX_HEADING_DIFFERENCE, MAX_PREDICTED_TURN_VARIANCE, MAX_PREDICTED_VARIANCE, LocalMap
 from .unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .wall_cells import END_ERROR_CELLS, WALL_CELL
 
@@ -34,8 +34,8 @@ MERGE_GATE = chi_square_quantile(STRICT_GATE, 2)
 # Metres between two walls that may be one, in the middle of their overlap, however large their covariances.
 # Origin: definition, walls and furniture are thicker.
 MAX_MERGE_OFFSET = SURFACE_DEPTH
-# Radians between two walls that may be one. Origin: chosen; not measured.
-MAX_MERGE_HEADING = math.radians(4.0)
+# Radians between two walls that may be one. Origin: definition, both are within it of one segment.
+MAX_MERGE_HEADING = 0.5 * MAX_HEADING_DIFFERENCE
 # Keyframes that must have observed a wall before it is merged by its covariance relative to the robot alone.
 # Origin: chosen, one more than for confirmation; not measured.
 MIN_OBSERVATIONS_TO_MERGE = CONFIRMING_KEYFRAMES + 1

@@ -15,7 +15,7 @@ from drivers import se2
 
 from ..geometry.segments import Floats, Integers
 from ..geometry.significance import SUPPORT_RATIO
-from ..geometry.surroundings import ROOM_SIZE
+from ..geometry.surroundings import INDOOR_RANGE, ROOM_SIZE
 from .landmarks import Landmarks
 from .sight_lines import WallsInView, cells_seen_through, walls_in_view
 from .wall_cells import END_ERROR_CELLS, MIN_GAP_BETWEEN_PIECES, WALL_CELL
@@ -32,9 +32,8 @@ MAX_REQUIRED_SCANS = 6
 # Metres of the narrowest opening: a door, rather than a hole between two beams. Origin: definition, so that the rest of
 # the wall is in pieces.
 MIN_OPENING = MIN_GAP_BETWEEN_PIECES
-# Metres of driving within which the map does not bend. Origin: chosen, the length of a room, and the range of lidars in
-# it; not measured.
-RIGID_DISTANCE = 15.0
+# Metres of driving within which the map does not bend. Origin: definition, scans along it show common surfaces.
+RIGID_DISTANCE = INDOOR_RANGE
 # A robot that has drifted, or is elsewhere, sees through many walls. So a scan must also see other walls, first
 # observed no later than the wall in question was last observed (see `_supported`).
 # Metres of them in every direction. Origin: chosen; not measured.

@@ -18,6 +18,7 @@ from drivers import se2
 from drivers.immutable import immutable
 from drivers.messages import Odometry
 
+from ..geometry.surroundings import BUILDING_SIZE
 from .history import wheel_travel
 from .measurement_clock import MeasurementClock
 
@@ -27,8 +28,9 @@ from .measurement_clock import MeasurementClock
 MIN_JUMP = 1.5
 # Metres per second from which it is a jump. Origin: chosen, more than any robot with a two-dimensional lidar drives.
 MIN_JUMP_SPEED = 30.0
-# Metres from which a motion is a jump however long it took: it says nothing about the robot then. Origin: chosen.
-MAX_UNSEEN = 1000.0
+# Metres from which a motion is a jump however long it took: it says nothing about the robot then. Origin:
+# definition.
+MAX_UNSEEN = BUILDING_SIZE
 # Metres and radians below which a coordinate is zero. Origin: numerical, of poses that are composed of transforms.
 ZERO = 1e-9
 # Seconds since the last reading of a run for which another one is its continuation. Origin: chosen, time to restart a

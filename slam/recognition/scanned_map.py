@@ -18,7 +18,7 @@ from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
-from ..geometry.surroundings import DOOR_WIDTH, SURFACE_DEPTH
+from ..geometry.surroundings import BUILDING_SIZE, DOOR_WIDTH, SURFACE_DEPTH
 from ..localisation.local_field import LocalField
 from ..loop_closure.submap_search import DISTORTION_SIGMAS, REVISIT_GAP, build_submap
 from ..mapping.mapper import Mapper
@@ -38,8 +38,8 @@ EVIDENCE_CELL = DOOR_WIDTH
 # Metres of a wall that is not a piece of furniture. Origin: chosen, longer than usual tables and cupboards.
 MIN_WALL_LENGTH = 3.0
 # Metres from the median position along x and y up to which a map is searched: memory grows with the square, and one
-# keyframe may be far away after a failure of odometry. Origin: chosen, beyond any building.
-MAX_REACH = 1000.0
+# keyframe may be far away after a failure of odometry. Origin: definition.
+MAX_REACH = BUILDING_SIZE
 
 
 @immutable

@@ -22,7 +22,8 @@ from drivers.immutable import immutable
 from ...geometry.angles import wrap_angle
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
-from ...geometry.surroundings import ROOM_SIZE
+from ...geometry.surroundings import INDOOR_RANGE, ROOM_SIZE
+from ...localisation.local_field import REFERENCE_DISTANCE
 from ...localisation.match_target import MatchTarget
 from ...localisation.path_distances import PathDistances
 from ...localisation.slip_statistics import SlipStatistics
@@ -34,17 +35,18 @@ from ...matching.landmark_equations import MATCH_CAUCHY_SCALE
 from ...matching.line_matcher import Registration
 from ...matching.point_matcher import PointMatch, Prediction
 from ...matching.scan_features import ScanFeatures
-from ...odometry.error_model import OdometryModel
+from ...odometry.error_model import POSE_SIGMAS, OdometryModel
 from ...odometry.measurement_clock import MeasurementClock
 from ...odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
 from ...preprocessing.scan_sequence import ScanSequence
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same distance field.
-# Origin: chosen; not measured.
-TILE = 4.0
-# Metres from the centre of a tile to each side of its field. Origin: chosen, a usual range indoors; not measured.
-FIELD_HALF_WIDTH = 14.0
+# Origin: definition, they show mostly the same surfaces.
+TILE = REFERENCE_DISTANCE
+# Metres from the centre of a tile to each side of its field: what is seen from the border of the tile.
+# Origin: definition.
+FIELD_HALF_WIDTH = INDOOR_RANGE + 0.5 * TILE
 # Metres from the centre of a tile within which keyframes contribute points to its distance field.
 # Origin: definition.
 FIELD_RADIUS = ROOM_SIZE
@@ -55,8 +57,8 @@ MAX_FIELD_KEYFRAMES = 40
 # as many are built. This saves 0.3 to 0.8 % of the time of a run, and takes up to 21 MB more at its peak.
 MAX_FIELDS = 16
 # Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan that was tracked.
-# Origin: chosen; not measured.
-TRACKED_SIGMAS = np.array([0.02, 0.02, 0.01])
+# Origin: definition.
+TRACKED_SIGMAS = POSE_SIGMAS
 
 _Square: TypeAlias = tuple[int, int, int]
 """Column and row of a tile, and group of parts of the map."""
