@@ -24,7 +24,7 @@ from ..odometry.velocity import MAX_VELOCITIES
 from ..preprocessing.preprocessor import ProcessedScan
 from ..preprocessing.scan_sequence import ScanSequence
 from .drive import Drive
-from .row_groups import consecutive_groups
+from .row_groups import MAX_GAP, consecutive_groups
 from .suspect import MAP, PARTS, UNCONSTRAINED, Suspect
 from .weak_places import MIN_LENGTH
 
@@ -32,8 +32,6 @@ from .weak_places import MIN_LENGTH
 # was not known: velocities hardly change before.
 # Origin: definition, the shortest stretch that is reported as weak.
 MIN_BLIND_LENGTH = MIN_LENGTH
-# Scans within a stretch that may determine the motion by chance. Origin: chosen; not measured.
-MAX_SEEING_SCANS = 2
 # Metres: standard deviation of the positions after a stretch without a match, relative to those before it, from which
 # on it is reported. Origin: definition, half the distance from which on loop closure takes two places as different.
 MAX_BLIND_SIGMA = 0.5 * DISTINCT_SHIFT
@@ -96,7 +94,7 @@ def unconstrained_stretches(
     ]
     travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(se2.between(poses[:-1], poses[1:])))])
     suspects = []
-    for group in consecutive_groups(np.flatnonzero(blind), MAX_SEEING_SCANS):
+    for group in consecutive_groups(np.flatnonzero(blind), MAX_GAP):
         first, last = int(group[0]), int(group[-1])
         length = float(travelled[last] - travelled[first])
         seconds = float(stamps[last] - stamps[first])
@@ -154,7 +152,7 @@ def _stretches_without_match(
     """
     steps = wheel_travel(se2.between(poses[:-1], poses[1:]))
     gaps = np.flatnonzero((steps >= MIN_BLIND_LENGTH) & is_matched[:-1] & is_matched[1:])
-    groups = consecutive_groups(np.flatnonzero(~is_matched), MAX_SEEING_SCANS)
+    groups = consecutive_groups(np.flatnonzero(~is_matched), MAX_GAP)
     found: dict[tuple[int, int], tuple[int, int]] = {}  # by the keyframes, since a gap may be beside a group
     for first, last in [*((group[0], group[-1]) for group in groups), *((row, row + 1) for row in gaps)]:
         before = np.searchsorted(keyframe_stamps, stamps[first], side="right" if is_matched[first] else "left") - 1

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from ..geometry.segments import Integers
 
-# Scans without a finding that may lie between two findings of one interval. Origin: chosen, about a metre.
+# Scans or keyframes without a finding that may lie between two findings of one interval, and that may be findings by
+# chance. Origin: chosen, about a metre.
 MAX_GAP = 3
 
 

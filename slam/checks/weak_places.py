@@ -21,7 +21,7 @@ from drivers.immutable import immutable
 from ..geometry.segments import Floats, Integers
 from ..geometry.surroundings import ROOM_SIZE
 from ..mapping.map_features import MapWalls
-from .row_groups import consecutive_groups
+from .row_groups import MAX_GAP, consecutive_groups
 
 # Metres: standard deviation from which on a place counts as poorly known. Origin: chosen, what a robot of the width of
 # most doors has to spare; not measured.
@@ -34,8 +34,6 @@ TARGET_SHARE = 0.5
 # Metres: shortest stretch of path, and shortest wall with few observations, that is worth a drive.
 # Origin: chosen; not measured.
 MIN_LENGTH = 1.0
-# Keyframes between two poorly known ones that belong to the same stretch. Origin: chosen; not measured.
-MAX_GAP = 5
 # Share of the variance whose shortest stretch of path is stated as its source. Origin: definition.
 SOURCE_SHARE = 0.5
 # Metres: length up to which the source of the variance is one place. Origin: chosen; not measured.

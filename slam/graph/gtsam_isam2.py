@@ -6,13 +6,13 @@ import gtsam
 import numpy as np
 
 # Change of a variable beyond which it is relinearised: metres along its axes and radians. Factors are linear in
-# positions but not in headings, so the threshold on the heading is the small one. A wall's frame may slide along it.
+# positions but not in headings, so the threshold on the heading is the small one.
 # Origin: measured, a quarter less time than 0.05 m and rad on every axis, with no worse results.
 RELINEARIZE_POSE = np.array([0.2, 0.2, 0.02])
-# The same for a wall's frame (along, across, heading). Origin: measured, as RELINEARIZE_POSE.
-RELINEARIZE_WALL = np.array([0.4, 0.2, 0.02])
-# Metres; the same for a corner. Origin: measured, as RELINEARIZE_POSE.
-RELINEARIZE_CORNER = np.array([0.2, 0.2])
+# The same for a wall's frame (along, across, heading). Origin: definition, as it may slide along the wall.
+RELINEARIZE_WALL = RELINEARIZE_POSE * np.array([2.0, 1.0, 1.0])
+# Metres; the same for a corner. Origin: definition.
+RELINEARIZE_CORNER = RELINEARIZE_POSE[:2]
 # The same by the characters of the variables' keys.
 THRESHOLDS = {"x": RELINEARIZE_POSE, "p": RELINEARIZE_POSE, "l": RELINEARIZE_WALL, "c": RELINEARIZE_CORNER}
 # Updates, each with some keyframes, from one relinearisation to the next. Origin: measured, on a recording of 1900

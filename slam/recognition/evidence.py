@@ -19,6 +19,7 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
+from ..geometry.significance import MOST
 from .placements import Placement
 from .scanned_map import ScannedDrive, ScannedMap, are_on_walls
 
@@ -27,9 +28,9 @@ MIN_CELL_POINTS = 5
 # Probability that an unchanged cell fits, and upper bound of the probability that a cell fits anywhere.
 # Origin: chosen, for points that are noise; not measured.
 MAX_FIT = 0.995
-# Probabilities that a cell on no long wall is unchanged, all equally likely before: at least half of the cells are.
-# Origin: chosen; at the closures of Intel and fhw 66 and 72 % fit.
-UNCHANGED_PROBABILITIES = np.linspace(0.5, MAX_FIT, 100)
+# Probabilities that a cell on no long wall is unchanged, all equally likely before: most of the cells are.
+# Origin: definition; at the closures of Intel and fhw 66 and 72 % fit.
+UNCHANGED_PROBABILITIES = np.linspace(MOST, MAX_FIT, 100)
 # Probability that a cell of a long wall has changed, relative to that of another cell. Origin: chosen, as walls change
 # by their doors only; at these closures 2 and 7 % did not fit, and 34 and 28 % of the others.
 WALL_CHANGE_RATIO = 0.2

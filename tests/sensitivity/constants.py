@@ -34,6 +34,17 @@ def comment_of(lines: list[str], node: ast.stmt) -> str:
     return "\n".join(line.partition("#")[2] for line in lines[first : node.end_lineno])
 
 
+def count_estimated(text: str) -> int:
+    """Return the number of constants of a module that are estimated, or have the origin of an estimated one."""
+    lines, count = text.splitlines(), 0
+    for _, node in find_constants(ast.parse(text)):
+        origins = re.findall(rf"{ORIGIN}\s+([a-z-]+)", comment_of(lines, node))
+        if origins[-1:] and origins[-1] in (*ESTIMATED, "as"):
+            target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+            count += len(target.elts) if isinstance(target, ast.Tuple) else 1
+    return count
+
+
 def change_constants(text: str, draw: Callable[[], float]) -> tuple[str, int]:
     """Return the text of a module whose estimated constants are multiplied by factors, and the number of the changed.
 
