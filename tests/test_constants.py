@@ -21,7 +21,7 @@ CORE = (
     "checks",
     "estimation",
 )
-MAX_ESTIMATED = 240
+MAX_ESTIMATED = 239
 """Number of constants of these packages that are chosen, measured or tuned. Whoever removes some lowers it."""
 
 

@@ -12,7 +12,7 @@ from ..geometry.angles import axes_of
 from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats, Integers, Segments
-from ..geometry.surroundings import SURFACE_DEPTH
+from ..geometry.surroundings import MIN_WALL_LENGTH, SURFACE_DEPTH
 
 # Points of one scan that are kept; denser scans are subsampled. Origin: chosen, above the 361 beams of a half-circle
 # lidar with half-degree steps: a limit of 360 left out every other of them.
@@ -33,9 +33,10 @@ LINE_DISTANCE = SURFACE_DEPTH
 # Half lengths of a segment, from its middle, up to which points are on its line.
 # Origin: chosen, the segment's length beyond either end; not measured.
 CONTINUATION = 3.0
-# Neighbours on each side, within a radius in metres, to which a line is fitted. Origin: chosen; not measured.
+# Neighbours on each side to which a line is fitted. Origin: chosen; not measured.
 NORMAL_NEIGHBOURS = 4
-NORMAL_RADIUS = 0.5  # Origin: as NORMAL_NEIGHBOURS.
+# Metres within which they must be. Origin: definition.
+NORMAL_RADIUS = MIN_WALL_LENGTH
 # Points that a line needs. Origin: chosen, two more than determine it.
 MIN_NORMAL_POINTS = 4
 # Largest variance of the points across a line, as a share of that along it; and largest variance of the direction of a
