@@ -24,7 +24,7 @@ from ..mapping.plan_mapper import plan_mapper
 from ..matching.point_matcher import POINT_SPACING
 from ..matching.scan_points import surface_points
 from ..odometry.correlated_drift import embed_position_covariance, rotate_covariance
-from ..recognition.drive_scans import SEARCH_DISTANCE, DriveScans
+from ..recognition.drive_scans import DriveScans
 from ..recognition.location import STATED, locate
 from ..recognition.map_descriptor import describe_map, express_in_frame
 from ..recognition.map_index import MIN_WALLS, MapIndex, index_map
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 RECENT_DISTANCE = INDOOR_RANGE
 # Keyframes between two searches. Origin: chosen; not measured.
 ATTEMPT_KEYFRAMES = 3
-# Metres of driving between them. Origin: definition, as for any map.
-ATTEMPT_DISTANCE = SEARCH_DISTANCE
 # Share of the observed wall length that must lie on the plan's walls at a roughly known pose.
 # Origin: definition, most of it.
 MIN_WALLS_ON_PLAN = MOST
@@ -72,7 +70,7 @@ class PlanRecognition:
         self._index = index_map(plan_mapper(plan_map))
         self._map, self._drive = _scan_plan(plan_map, self._index), DriveScans()
         self._start, self._start_covariance = start, start_covariance
-        self._last_keyframe, self._last_distance = -ATTEMPT_KEYFRAMES, -ATTEMPT_DISTANCE
+        self._last_keyframe = -ATTEMPT_KEYFRAMES
 
     def __deepcopy__(self, memo: dict[int, object]) -> PlanRecognition:
         """Return an independent copy; index and map of the plan are never changed and are shared."""
@@ -91,9 +89,9 @@ class PlanRecognition:
         """
         travelled = np.asarray(mapper.travelled)
         last, now = mapper.keyframe_count - 1, float(travelled[-1])
-        if last - self._last_keyframe < ATTEMPT_KEYFRAMES or now - self._last_distance < ATTEMPT_DISTANCE:
+        if last - self._last_keyframe < ATTEMPT_KEYFRAMES:
             return None
-        self._last_keyframe, self._last_distance = last, now
+        self._last_keyframe = last
         recent = (travelled > now - RECENT_DISTANCE) & mapper.landmarks.parts.connected(np.arange(last + 1))
         if last_supported is None and self._start is not None:
             aligned = self._align(mapper, recent, self._start, self._start_covariance)

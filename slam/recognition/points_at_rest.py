@@ -13,12 +13,12 @@ import numpy as np
 from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats, Integers
+from ..geometry.surroundings import SURFACE_DEPTH
 from ..matching.free_space import NEW_SURFACE
-from ..matching.offset_tiles import FIELD_CELL
 
 # Metres between the points kept of a surface, so that evidence does not depend on how often the surface was seen.
-# Origin: chosen, two cells of a distance field; not measured.
-THINNED_SPACING = 2.0 * FIELD_CELL
+# Origin: definition.
+THINNED_SPACING = SURFACE_DEPTH
 # Metres from a point without a normal beyond which a beam has left its square. Origin: definition, its diagonal.
 SQUARE_DIAGONAL = math.sqrt(2.0) * THINNED_SPACING
 # Directions that surfaces face, and one for points without a normal. Origin: definition.

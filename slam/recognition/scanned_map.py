@@ -18,7 +18,7 @@ from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
-from ..geometry.surroundings import BUILDING_SIZE, DOOR_WIDTH, SURFACE_DEPTH
+from ..geometry.surroundings import BUILDING_SIZE, DOOR_WIDTH
 from ..localisation.local_field import LocalField
 from ..loop_closure.submap_search import DISTORTION_SIGMAS, REVISIT_GAP, build_submap
 from ..mapping.mapper import Mapper
