@@ -19,7 +19,7 @@ from .slam_runs import QUICK_WORLDS, RunSpec, run_once
 CHECKED_SCANS = 100
 """Per noise level."""
 SEEDS = (0, 1, 2)
-REPEATS, MAX_REPEATS = 4, 16
+REPEATS, MAX_REPEATS = 4, 40
 """Of a timed run. All are identical, and the best counts. Other programs slow down a run and the reference timed during
 it, though not equally and not always: a run that exceeds its limit is repeated more often. A slower program remains
 slow."""
