@@ -53,6 +53,28 @@ def unwrapped(angles):  # type: ignore[no-untyped-def]
     return result
 
 
+@compiled
+def interpolate_each(times, poses, wanted):  # type: ignore[no-untyped-def]
+    """Return (m, 3) the poses at the `wanted` times (m,), between poses (n, 3) at increasing `times` (n,).
+
+    They are interpolated linearly in SE(2), and constant before the first and after the last time.
+    """
+    result = np.empty((len(wanted), 3))
+    for k in range(len(wanted)):
+        after = min(np.searchsorted(times, wanted[k]), len(times) - 1)
+        pose = poses[after]
+        result[k, 0], result[k, 1], result[k, 2] = pose[0], pose[1], pose[2]
+        if after > 0 and times[after] > wanted[k]:
+            before = poses[after - 1]
+            part = (wanted[k] - times[after - 1]) / (times[after] - times[after - 1])
+            c, s = math.cos(before[2]), math.sin(before[2])
+            x, y, heading = -c * before[0] - s * before[1], s * before[0] - c * before[1], _wrapped(-before[2])
+            x, y, heading = _product(x, y, heading, pose)
+            motion = part * x, part * y, part * heading
+            result[k, 0], result[k, 1], result[k, 2] = _product(before[0], before[1], before[2], motion)
+    return result
+
+
 @inlined
 def _product(x, y, heading, second):  # type: ignore[no-untyped-def]
     c, s = math.cos(heading), math.sin(heading)

@@ -13,6 +13,7 @@ from drivers.messages import Odometry
 
 from ..geometry.growing_array import GrowingArray
 from ..geometry.normal_distribution import NORMAL_SCALE
+from ..geometry.pose_arrays import interpolate_each
 from ..geometry.segments import Floats
 from .measurement_clock import USUAL_PERIOD
 
@@ -152,21 +153,13 @@ class OdometryHistory:
 
     def at_each(self, stamps: Floats) -> Floats:
         """Return (n, 3) the poses at several stamps."""
-        stamps = np.asarray(stamps, dtype=np.float64)
+        stamps = np.array(stamps, dtype=np.float64, order="C")  # not read-only, which would be compiled for separately
         if not len(stamps):
             return np.zeros((0, 3))
         # Only the readings around: a scan must not take longer the longer the robot has been driving.
         begin = max(bisect.bisect_left(self.stamps, stamps.min()) - 1, 0)
         end = bisect.bisect_left(self.stamps, stamps.max()) + 1
-        readings, poses = self.stamps[begin:end], self._poses.rows[begin:end]
-        after = np.minimum(np.searchsorted(readings, stamps), len(readings) - 1)
-        result = poses[after]
-        rows = np.flatnonzero((readings[after] > stamps) & (after > 0))
-        before = after[rows] - 1
-        part = (stamps[rows] - readings[before]) / (readings[before + 1] - readings[before])
-        motion = se2.between(poses[before], poses[before + 1])
-        result[rows] = se2.compose(poses[before], part[:, None] * motion)
-        return result
+        return np.asarray(interpolate_each(self.stamps[begin:end], self._poses.rows[begin:end], stamps))
 
     def _pose(self, reading: int) -> se2.Pose:
         return np.array(self._poses.rows[reading])

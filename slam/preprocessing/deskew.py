@@ -7,12 +7,11 @@ random error is added to the covariances of the features (see `motion_uncertaint
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
 
 import numpy as np
 
 from drivers import se2
+from drivers.compiled import compiled
 from drivers.immutable import immutable
 from drivers.messages import Scan
 from features.normal_limits import NORMAL_LIMIT
@@ -26,6 +25,7 @@ from ..odometry.error_model import OdometryModel
 from ..odometry.history import MIN_SPEED, OdometryHistory, wheel_travel
 from ..odometry.measurement_clock import USUAL_PERIOD
 from ..odometry.smoothing import is_within_jitter, smoothed_poses
+from .sweep_motion import SweepMotion, beams_from_middle, breakpoints_of, travelled_at
 
 # Seconds between the poses along the sweep between which the motion is interpolated: shorter than the interval of
 # odometry readings. Origin: measured at 2 revolutions per second, relative NEES 2.32 with 70 ms, 0.76 with 13 ms.
@@ -36,44 +36,6 @@ KNOT_INTERVAL = 0.0125
 MIN_SWEEP_TRAVEL = 2e-3
 # Origin: definition.
 PARABOLA_PARAMETERS = 3
-
-
-@dataclass(frozen=True, eq=False)
-class SweepMotion:
-    """Motion of odometry during a sweep, relative to the pose in its middle.
-
-    times        (n,) seconds from the middle to each beam
-    poses        (n, 3) [x, y, heading] of the base at each beam
-    speed_error  standard deviation of the relative error of the speed, see `smoothed_poses`
-    breakpoints  (m + 1,) seconds from the middle to the readings between which odometry's error changes evenly
-    steps        (m,) metres of wheel travel between these
-    fitted       seconds from the middle to either end of the interval that the reference is fitted to
-    offset       metres of wheel travel between the middle and the stamp that the scan was moved to
-    """
-
-    times: Floats
-    poses: Floats
-    speed_error: float
-    breakpoints: Floats
-    steps: Floats
-    fitted: float
-    offset: float = 0.0
-
-    @staticmethod
-    @lru_cache(maxsize=2)  # all scans of a lidar have as many beams; there may be two lidars
-    def standing(beams: int) -> SweepMotion:
-        """Return that of a robot that stands."""
-        return SweepMotion(np.zeros(beams), np.zeros((beams, 3)), 0.0, np.array([0.0, 1.0]), np.zeros(1), 0.0)
-
-    @cached_property
-    def travel(self) -> Floats:
-        """(n,) metres of wheel travel between the middle and each beam."""
-        return wheel_travel(self.poses)
-
-    @cached_property
-    def reach(self) -> float:
-        """Metres of wheel travel between the stamp and the beam that is farthest from it."""
-        return float(self.travel.max(initial=0.0)) + self.offset
 
 
 @immutable
@@ -149,16 +111,17 @@ def deskew(
         limit = NORMAL_LIMIT * model.deviations_of_fit(float(travels[central].max()))
         error = np.clip(_fitted_middle(times[central], moves[central]), -limit, limit)
         moves = model.correct(between_each(error[None], moves))
-    ranges, bearings = _seen_from_middle(scan, ranges, offsets, moves, mount)
-    breakpoints = _breakpoints(odometry, scan.stamp, scan.stamp + duration)
-    travelled = _travelled(poses, offsets, breakpoints - scan.stamp)
+    at = np.array([mount])
+    lidars = between_each(at, compose_each(moves, at))
+    lidars[:, 2] = unwrapped(lidars[:, 2].copy())
+    # copied, as arrays that are read-only or reversed would be compiled for separately
+    ranges, angles, beam_times = (np.array(each, order="C") for each in (ranges, scan.angles, scan.time_offsets))
+    ranges, bearings, of_beams = beams_from_middle(ranges, angles, beam_times, offsets, lidars, moves)
+    readings, _ = odometry.readings_between(scan.stamp - USUAL_PERIOD, scan.stamp + duration)
+    breakpoints = breakpoints_of(readings, scan.stamp, scan.stamp + duration)
+    travelled = travelled_at(poses, offsets, breakpoints - scan.stamp)
     motion = SweepMotion(
-        scan.time_offsets - 0.5 * duration,
-        np.column_stack([np.interp(scan.time_offsets, offsets, moves[:, k]) for k in range(3)]),
-        speed_error,
-        breakpoints - middle,
-        np.diff(travelled),
-        fitted,
+        beam_times - 0.5 * duration, of_beams, speed_error, breakpoints - middle, np.diff(travelled), fitted
     )
     return DeskewedScan(middle, se2.compose(reference, error), ranges, bearings, motion)
 
@@ -171,56 +134,18 @@ def _is_standing(odometry: OdometryHistory, begin: float, duration: float, motio
     return is_within_jitter(odometry, begin, begin + duration, travel)
 
 
-def _seen_from_middle(
-    scan: Scan, ranges: Floats, offsets: Floats, moves: Floats, mount: se2.Pose
-) -> tuple[Floats, Floats]:
-    """Return ranges and bearings (n,) of a scan as seen from the lidar in the middle of the sweep.
-
-    offsets  (k,) seconds from the start of the sweep
-    moves    (k, 3) [x, y, heading] of the base relative to the middle, at these
-    """
-    at = np.array([mount])
-    lidars = between_each(at, compose_each(moves, at))
-    turned = scan.angles + np.interp(scan.time_offsets, offsets, unwrapped(lidars[:, 2].copy()))
-    x = np.interp(scan.time_offsets, offsets, lidars[:, 0]) + ranges * np.cos(turned)
-    y = np.interp(scan.time_offsets, offsets, lidars[:, 1]) + ranges * np.sin(turned)
-    shift = se2.wrap(np.arctan2(y, x) - turned)
-    return np.hypot(x, y), turned + np.where(np.isfinite(shift), shift, 0.0)
-
-
-def _travelled(poses: Floats, offsets: Floats, wanted: Floats) -> Floats:
-    """Return metres of wheel travel from the start of a sweep to the `wanted` times (m,), seconds from there.
-
-    poses, offsets  (k, 3) smoothed poses and (k,) their times: between readings, noise would count as travel
-
-    Before and after the sweep, the speed is that at its ends.
-    """
-    travelled = np.concatenate([[0.0], np.cumsum(wheel_travel(between_each(poses[:-1], poses[1:])))])
-    slopes = np.diff(travelled) / np.diff(offsets)
-    outside = slopes[0] * np.minimum(wanted, 0.0) + slopes[-1] * np.maximum(wanted - offsets[-1], 0.0)
-    return np.asarray(np.interp(wanted, offsets, travelled) + outside)
-
-
-def _breakpoints(odometry: OdometryHistory, begin: float, end: float) -> Floats:
-    """Return (m + 1,) stamps between which odometry's error changes evenly, from before a sweep until after it.
-
-    These are the stamps of the readings. Where readings are farther apart than USUAL_PERIOD, during which robots
-    move smoothly, stamps between them are added.
-    """
-    stamps, _ = odometry.readings_between(begin - USUAL_PERIOD, end)
-    inside = stamps[(stamps > begin) & (stamps < end)]
-    first = max(stamps[stamps <= begin], default=begin - USUAL_PERIOD)
-    last = min(min(stamps[stamps >= end], default=np.inf), end + USUAL_PERIOD)
-    stamps = np.concatenate([[first], inside, [last]])
-    parts = np.ceil(np.diff(stamps) / USUAL_PERIOD).astype(int)
-    return np.asarray(np.interp(np.arange(parts.sum() + 1), np.concatenate([[0], np.cumsum(parts)]), stamps))
-
-
-def _fitted_middle(times: Floats, poses: Floats) -> Floats:
+@compiled
+def _fitted_middle(times, poses):  # type: ignore[no-untyped-def]
     """Return (3,) the value at time 0 of the parabolas fitted to poses (n, 3) at `times` (n,), symmetric about it."""
-    if len(times) <= PARABOLA_PARAMETERS:
-        return np.asarray(poses.mean(axis=0))
-    squares = times**2
-    centred = squares - squares.mean()
-    curvature = centred @ poses / (centred @ centred)
-    return np.asarray(poses.mean(axis=0) - squares.mean() * curvature)
+    count = len(times)
+    mean, product, squares, fourths = np.zeros(3), np.zeros(3), 0.0, 0.0
+    for k in range(count):
+        square = times[k] ** 2
+        squares, fourths = squares + square, fourths + square * square
+        for axis in range(3):
+            mean[axis] += poses[k, axis] / count
+            product[axis] += square * poses[k, axis]
+    if count <= PARABOLA_PARAMETERS:
+        return mean
+    curvature = (product - squares * mean) / (fourths - squares * squares / count)
+    return mean - squares / count * curvature

@@ -35,7 +35,7 @@ from drivers.compiled import compiled
 from ..geometry.line_segments import MIN_WALL_DISTANCE
 from ..geometry.segments import Floats, Segments
 from ..odometry.error_model import OdometryModel
-from .deskew import SweepMotion
+from .sweep_motion import SweepMotion
 
 if TYPE_CHECKING:
     from features.types import Lines, Noise
@@ -56,40 +56,90 @@ def segment_responses(
     mount: se2.Pose,
 ) -> Floats:
     """Return (n, 2, m + 4) the changes of offset and heading by one standard deviation of each error."""
-    interval = np.clip(np.searchsorted(motion.breakpoints, motion.times, side="right") - 1, 0, len(motion.steps) - 1)
-    part = (motion.times - motion.breakpoints[interval]) / np.diff(motion.breakpoints)[interval]
-    turns, shifts, speeds = _unit_responses(
-        segments.frame,
-        segments.half_length,
-        np.ascontiguousarray(lines.first),  # a column of one row is contiguous, and would be compiled for separately
-        np.ascontiguousarray(lines.last),
-        bearings,
-        np.copysign(motion.travel, motion.times) + motion.offset,
-        motion.poses,
-        (interval, part, _shares_in_fit(motion.breakpoints, motion.fitted)),
-        tuple(mount.tolist()),
-        (noise.sigma_range**2, noise.sigma_bearing**2),
-    )
-    jacobians = segment_jacobians(segments)
     translation = float(model.variances(np.ones(()))[0])  # after one metre
-    moved = math.sqrt(translation) * shifts[:, :, None] * jacobians[:, :1, :2]
-    turned = math.sqrt(float(model.variances(np.array(motion.offset))[1])) * jacobians[:, :, 2:]
-    sped = motion.speed_error * speeds[:, :, None]
-    return np.concatenate([np.sqrt(model.variances(motion.steps)[1]) * turns, moved, turned, sped], axis=2)
+    return np.asarray(
+        _responses(
+            segments.frame,
+            segments.half_length,
+            # a column of one row is contiguous, and would be compiled for separately
+            np.ascontiguousarray(lines.first),
+            np.ascontiguousarray(lines.last),
+            bearings,
+            (motion.times, motion.travel, motion.offset, motion.poses),
+            (motion.breakpoints, motion.fitted),
+            tuple(mount.tolist()),
+            (noise.sigma_range**2, noise.sigma_bearing**2),
+            np.sqrt(model.variances(motion.steps)[1]),
+            (math.sqrt(translation), math.sqrt(float(model.variances(np.array(motion.offset))[1])), motion.speed_error),
+        )
+    )
 
 
-def _shares_in_fit(breakpoints: Floats, fitted: float) -> Floats:
+@compiled
+def _responses(frames, half_lengths, first, last, bearings, beams, walk, mount, variances, step_sigmas, sigmas):  # type: ignore[no-untyped-def]
+    """Return (n, 2, m + 4) the changes of offset and heading of each segment by one standard deviation of each error.
+
+    The errors are those of the m steps of the heading, of both components of the position, of the heading between the
+    middle and the stamp of the scan, and of the speed.
+
+    frames       (n, 3) of the segments in the base's frame
+    first, last  (n,) beams of each segment: all from one to the other count as beams on it
+    bearings     (p,) of the beams
+    beams        (p,) seconds from the middle of the sweep, (p,) metres of wheel travel from there, metres from there to
+                 the stamp, and (p, 3) poses of the base
+    walk         (m + 1,) seconds from the middle to the ends of the steps, and `fitted` as in `SweepMotion`
+    variances    of range and bearing of a ray
+    step_sigmas  (m,) radians, of the steps
+    sigmas       of the position per metre, of the heading up to the stamp (radians), and of the relative speed
+    """
+    times, distances, offset, poses = beams
+    steps, travel = len(step_sigmas), np.copysign(distances, times) + offset
+    interval, part = _places_in_steps(times, walk[0])
+    turns, shifts, speeds = _unit_responses(
+        frames, half_lengths, first, last, bearings, travel, poses,
+        (interval, part, _shares_in_fit(walk[0], walk[1])), mount, variances,
+    )  # fmt: skip
+    result = np.empty((len(frames), 2, steps + 4))
+    for i in range(len(frames)):
+        x, y, c, s = frames[i, 0], frames[i, 1], math.cos(frames[i, 2]), math.sin(frames[i, 2])
+        for row in range(2):
+            for step in range(steps):
+                result[i, row, step] = step_sigmas[step] * turns[i, row, step]
+            result[i, row, steps] = -s * sigmas[0] * shifts[i, row]
+            result[i, row, steps + 1] = c * sigmas[0] * shifts[i, row]
+            result[i, row, steps + 2] = sigmas[1] * (c * x + s * y if row == 0 else 1.0)
+            result[i, row, steps + 3] = sigmas[2] * speeds[i, row]
+    return result
+
+
+@compiled
+def _places_in_steps(times, breakpoints):  # type: ignore[no-untyped-def]
+    """Return (p,) the step between `breakpoints` (m + 1,) that each of some times is in, and how much of it is over."""
+    interval, part = np.empty(len(times), dtype=np.int64), np.empty(len(times))
+    for k in range(len(times)):
+        step = np.searchsorted(breakpoints, times[k], side="right") - 1
+        step = min(max(step, 0), len(breakpoints) - 2)
+        interval[k] = step
+        part[k] = (times[k] - breakpoints[step]) / (breakpoints[step + 1] - breakpoints[step])
+    return interval, part
+
+
+@compiled
+def _shares_in_fit(breakpoints, fitted):  # type: ignore[no-untyped-def]
     """Return (m,) what the middle of the fitted parabola has of each step of the random walk, between `breakpoints`.
 
     A step r rises from 0 to 1 between its breakpoints a and b. With V = int v, which is 0 before -1 and 1 after 1,
 
         int_-1^1 v(x) r(l x) dx = 1 - int_a^b V(u / l) du / (b - a)
     """
-    x = breakpoints / fitted if fitted else np.copysign(np.inf, breakpoints)
-    inner = np.clip(x, -1.0, 1.0)
-    inside = fitted * (3.0 + 16.0 * inner + 18.0 * inner**2 - 5.0 * inner**4) / 32.0
-    integral = np.where(np.abs(x) < 1.0, inside, np.maximum(breakpoints, 0.0))
-    return np.asarray(1.0 - np.diff(integral) / np.diff(breakpoints))
+    integral = np.empty(len(breakpoints))
+    for k in range(len(breakpoints)):
+        if abs(breakpoints[k]) < fitted:
+            x = breakpoints[k] / fitted
+            integral[k] = fitted * (3.0 + 16.0 * x + 18.0 * x**2 - 5.0 * x**4) / 32.0
+        else:
+            integral[k] = max(breakpoints[k], 0.0)
+    return 1.0 - (integral[1:] - integral[:-1]) / (breakpoints[1:] - breakpoints[:-1])
 
 
 @compiled
