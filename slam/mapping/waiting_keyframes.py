@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from .mapper import Mapper
 
 # Metres of driving from one solution of the graph to the next; tracking supplies the poses in between.
-# Origin: definition, LOCAL_MAP_MARGIN: so the scans are still matched to walls that were read back. Measured: half of it
-# takes an eighth more time for the same errors of relations (Intel, fr079).
+# Origin: definition, LOCAL_MAP_MARGIN: so the scans are still matched to walls that were read back. Measured: half of
+# it takes an eighth more time on Intel and fr079, for the same errors.
 SOLVE_DISTANCE = LOCAL_MAP_MARGIN
 # Radians of turning likewise, the sum of those between keyframes. Origin: definition, half of the field of view of a
 # half-circle lidar: the other half of a scan still shows walls that were read back.
