@@ -73,7 +73,11 @@ def vote_for_poses(submap: MapDescriptor, pairs: Floats, max_poses: int) -> Floa
 
 
 def _strongest_poses(votes: Floats, max_poses: int) -> Floats:
-    """Return the mean poses (k, 3) of the votes (v, 4) in the cells with most votes in their neighbourhoods."""
+    """Return the mean poses (k, 3) of the votes (v, 4) in cells that have more votes than all their neighbours.
+
+    Those with most votes in their neighbourhoods are first. The neighbour of such a cell may have as many in its own,
+    which contains the cell, but the mean of its few votes is beside the pose.
+    """
     origin = votes[:, :2].min(axis=0)
     cells = np.column_stack([(votes[:, :2] - origin) // DISTINCT_SHIFT, votes[:, 2] // DISTINCT_TURN]).astype(np.int64)
     rows = int(cells[:, 1].max()) + 3  # an empty row on either side separates the columns
@@ -84,13 +88,14 @@ def _strongest_poses(votes: Floats, max_poses: int) -> Floats:
     total = np.add.reduceat(weight, first)
     means = np.add.reduceat(votes[order, :3] * weight[:, None], first, axis=0) / total[:, None]
     strongest = np.argsort(-total, kind="stable")[:MAX_SUMMED_CELLS]
-    cells = cells[order][first][strongest]
-    near = cells[:, None] + NEIGHBOURHOOD
+    cells = cells[order][first]
+    strongest = strongest[_separate_cells(cells[strongest])]
+    near = cells[strongest, None] + NEIGHBOURHOOD
     near[..., 2] %= HEADING_CELLS
     wanted = _cell_keys(near, rows)
     at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
     support = np.where(keys[at] == wanted, total[at], 0.0).sum(axis=1)
-    return np.asarray(means[strongest[_separate_cells(cells, np.argsort(-support, kind="stable"), max_poses)]])
+    return np.asarray(means[strongest[np.argsort(-support, kind="stable")[:max_poses]]])
 
 
 def _cell_keys(cells: Integers, rows: int) -> Integers:
@@ -99,10 +104,10 @@ def _cell_keys(cells: Integers, rows: int) -> Integers:
 
 
 @compiled
-def _separate_cells(cells, order, max_count):  # type: ignore[no-untyped-def]
-    """Return the first rows in `order` whose cells (n, 3) are not neighbours, at most `max_count`."""
-    chosen, count = np.empty(min(max_count, len(order)), np.int64), 0
-    for row in order:
+def _separate_cells(cells):  # type: ignore[no-untyped-def]
+    """Return the rows of the cells (n, 3) that are no neighbours of an earlier one of these."""
+    chosen, count = np.empty(len(cells), np.int64), 0
+    for row in range(len(cells)):
         is_near = False
         for other in chosen[:count]:
             turn = abs(cells[row, 2] - cells[other, 2])
@@ -114,8 +119,6 @@ def _separate_cells(cells, order, max_count):  # type: ignore[no-untyped-def]
         if not is_near:
             chosen[count] = row
             count += 1
-            if count == max_count:
-                break
     return chosen[:count]
 
 

@@ -15,7 +15,7 @@ from slam.geometry.segments import Floats
 from slam.mapping.landmarks import Landmarks
 from slam.recognition.map_descriptor import MapDescriptor, describe_map, express_in_frame
 from slam.recognition.map_index import MapIndex, align_candidates
-from slam.recognition.wall_pairs import build_pair_table
+from slam.recognition.wall_pairs import build_pair_table, vote_for_poses
 
 ROUGHNESS = 1e-6
 
@@ -92,6 +92,14 @@ def test_every_equal_place_is_a_candidate() -> None:
     for observed, walls, places in ((square, square, 4), (ROOMS[1], twins, 2)):
         found = align_candidates(seen_from(INSIDE[1], observed), index_of(walls))
         assert sum(one.length == pytest.approx(found[0].length, rel=0.01) for one in found) == places
+
+
+@pytest.mark.parametrize("gap", [0.5, 0.55, 0.6, 0.65, 0.7])
+def test_room_is_found_with_new_furniture_in_rows_in_front_of_a_wall(gap: float) -> None:
+    """Poses at which the furniture is taken for the wall get few votes each, and are beside that of the room."""
+    rows = [[gap * k, 1.0, -np.pi / 2, 0.8] for k in (1, 2)]
+    first, *_ = vote_for_poses(seen_from(INSIDE[0], ROOMS[0]), index_of(np.array([*ROOMS[0], *rows])).pairs, 64)
+    np.testing.assert_allclose(se2.between(INSIDE[0], first)[:2], 0.0, atol=0.1)
 
 
 def test_parallel_walls_alone_give_no_candidates() -> None:
