@@ -21,7 +21,7 @@ from ...io.recorded_stamps import as_recorded
 from ...io.tum import Trajectory
 from ...pipeline import Slam
 from ...warmup import warm_up
-from .robust_drives import VARIANTS, WORLDS, DriveVariant, LaterMode, RecordedDrive
+from .robust_drives import VARIANTS, WORLDS, DriveVariant, RecordedDrive, SimulatedWorld
 from .robust_scores import RobustResult, ScoredRun, reference_errors, trajectory_errors, trajectory_errors_in_map
 from .scenarios.later_drives import later_drive
 from .scenarios.log_variants import play_backwards
@@ -98,7 +98,7 @@ def _run_world(job: Job, prepare: Prepare) -> RobustResult:
     world = WORLDS[job.world]
     simulation = world.simulation(job.seed)
     if world.later is not None:
-        return _run_later(job.name, simulation, world.later)
+        return _run_later(job.name, simulation, world)
     with world.messages(simulation) as messages:
         config = prepare(messages) if isinstance(messages, Source) else Config()
         run = ScoredRun(Slam(config), messages)
@@ -110,15 +110,15 @@ def _run_world(job: Job, prepare: Prepare) -> RobustResult:
     return run.result(job.name, "truth", errors)
 
 
-def _run_later(name: str, simulation: Simulation, mode: LaterMode) -> RobustResult:
+def _run_later(name: str, simulation: Simulation, world: SimulatedWorld) -> RobustResult:
     """Map a drive, and score another one in its map. Errors are those in the frame of the map."""
     slam = Slam()
     earlier = ScoredRun(slam, simulation)
     stamps, poses = earlier.path
     mapped = Trajectory(stamps, poses), Trajectory(stamps, simulation.trajectory.poses_at(stamps))
-    later = later_drive(simulation)
+    later = later_drive(simulation, refurnished=world.refurnished)
     session = slam.session
-    run = ScoredRun(Slam(resumed=session, frozen=mode == "localize"), later, session.latest)
+    run = ScoredRun(Slam(resumed=session, frozen=world.later == "localize"), later, session.latest)
     stamps, poses = run.path
     path = Trajectory(stamps, poses), Trajectory(stamps, later.true_poses(stamps))
     stamps, poses = run.odometry_path

@@ -95,6 +95,7 @@ class SimulatedWorld:
     log          change of the messages
     recording    True if the messages are written to a recording and read again, so that its reader corrects them
     later        not None if a drive of the next day is scored, in the map of this one
+    refurnished  True if it then is in the same building with other furniture
     """
 
     description: str
@@ -105,6 +106,7 @@ class SimulatedWorld:
     log: LogVariant | None = None
     recording: bool = False
     later: LaterMode | None = None
+    refurnished: bool = False
 
     def simulation(self, seed: int) -> Simulation:
         """Return the simulation of one drive."""
@@ -167,6 +169,9 @@ WORLDS: dict[str, SimulatedWorld] = {
     ),
     "known-map": SimulatedWorld(
         "strangers on another day, localised in the map of their first drive", small_stranger, later="localize"
+    ),
+    "refurnished-map": SimulatedWorld(
+        "as known-map, with other furniture than on the first day", small_stranger, later="localize", refurnished=True
     ),
     "continued-map": SimulatedWorld(
         "strangers on another day, who continue the map of their first drive", small_stranger, later="continue"

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -29,6 +30,7 @@ from slam.evaluation.benchmarks.robust_scores import (
 )
 from slam.evaluation.benchmarks.robust_table import TABLE_HEAD, table_row
 from slam.evaluation.benchmarks.scenarios import later_drives
+from slam.evaluation.benchmarks.scenarios.later_drives import LaterDrive
 from slam.io.tum import Trajectory, write_tum
 
 LIDAR = LidarModel(beams=180, rate=6.0)
@@ -133,6 +135,20 @@ def test_a_world_is_scored_by_its_truth(monkeypatch: pytest.MonkeyPatch) -> None
     (result,) = run_jobs([Job(None, "crowd", 4)], defaults)
     assert (result.name, result.reference, result.failed) == ("crowd 4", "truth", "")
     assert result.slam.error < 0.02
+
+
+@pytest.mark.parametrize("name", ["known-map", "refurnished-map"])
+def test_furniture_is_another_one_on_another_day(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    drives: list[bool] = []
+
+    def later(_: Simulation, *, refurnished: bool) -> LaterDrive:
+        drives.append(refurnished)
+        raise MapError("not driven")
+
+    monkeypatch.setattr(robust, "later_drive", later)
+    monkeypatch.setattr(robust, "ScoredRun", lambda *_: SimpleNamespace(path=(np.zeros(1), np.zeros((1, 3)))))
+    assert run_job(Job(None, name, 6007), defaults).failed == "not driven"
+    assert drives == [name == "refurnished-map"]
 
 
 @pytest.mark.parametrize("mode", ["localize", "continue"])

@@ -15,6 +15,7 @@ from drivers.simulation import LidarModel, Simulation, load_world
 from drivers.simulation.trajectory import follow_waypoints
 from drivers.timing.beam_times import BeamTimes
 from slam.evaluation.benchmarks.scenarios.buildings import random_building, room_with_boxes, turning_path, wide_hall
+from slam.evaluation.benchmarks.scenarios.later_drives import later_drive, small_stranger
 from slam.evaluation.benchmarks.scenarios.log_variants import (
     LogVariant,
     chain,
@@ -169,6 +170,24 @@ def free_drive(world: object) -> None:
 def test_a_building_is_drawn_from_its_seed() -> None:
     assert random_building(4).segments.tolist() == random_building(4).segments.tolist()
     assert random_building(4).segments.tolist() != random_building(5).segments.tolist()
+
+
+@pytest.mark.parametrize("seed", [6000, 6004, 6007])  # an office, a building of corridors, and rooms with boxes
+def test_a_refurnished_building_has_the_same_walls_and_other_furniture(seed: int) -> None:
+    earlier = small_stranger(seed)
+    later = later_drive(earlier, refurnished=True).simulation
+    before, after = ({tuple(s) for s in world.segments.tolist()} for world in (earlier.world, later.world))
+    assert max(map(_length, before & after)) == max(map(_length, before))
+    assert _length(max(before - after, key=_length)) < 3.5
+    assert len(before - after) > 30 < len(after - before)
+    np.testing.assert_array_equal(earlier.world.waypoints, later.world.waypoints)
+    assert earlier.lidar == later.lidar
+    free_drive(later.world)
+    assert later_drive(earlier).simulation.world is earlier.world
+
+
+def _length(segment: tuple[float, ...]) -> float:
+    return math.hypot(segment[2] - segment[0], segment[3] - segment[1])
 
 
 def test_a_lidar_sees_nothing_in_the_middle_of_the_wide_hall() -> None:

@@ -28,7 +28,7 @@ def bench_robust(
             metavar="NAME",
             help="World, or name of a recording; can be repeated. By default all recordings and all worlds: crowd, "
             "turns, reversed-beams, late-lidar, wide-hall, columns, buildings, failing-odometry, strangers, patrol, "
-            "known-map, continued-map.",
+            "known-map, refurnished-map, continued-map.",
         ),
     ] = None,
     variants: Annotated[

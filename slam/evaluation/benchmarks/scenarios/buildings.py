@@ -21,17 +21,19 @@ CLEARANCE = 0.8
 """Metres between the path and the middle of a piece of furniture, beyond half its diagonal, at least."""
 
 
-def random_building(seed: int) -> World:
+def random_building(seed: int, furniture: np.random.Generator | None = None) -> World:
     """Return a building drawn from a seed: a ring of long corridors around a core, and rooms on its long sides.
 
     The sizes of corridors and rooms, doors, furniture and the visited rooms are random. The robot drives once around
     the ring and then half around it again.
+
+    furniture  draws other furniture in the same rooms
     """
     random = np.random.default_rng(seed)
     width, height = random.uniform(18.0, 36.0), random.uniform(10.0, 20.0)
     corridor = random.uniform(1.6, 2.6)
-    south, south_visits = _rooms(random, width, random.uniform(3.0, 6.0), 0.0, -1.0)
-    north, north_visits = _rooms(random, width, random.uniform(3.0, 6.0), height, 1.0)
+    south, south_visits = _rooms(random, furniture, width, random.uniform(3.0, 6.0), 0.0, -1.0)
+    north, north_visits = _rooms(random, furniture, width, random.uniform(3.0, 6.0), height, 1.0)
     core = _rectangle(corridor, corridor, width - corridor, height - corridor)
     sides = [_wall((x, 0.0), (x, height)) for x in (0.0, width)]
     low, high, left, right = corridor / 2, height - corridor / 2, corridor / 2, width - corridor / 2
@@ -53,12 +55,18 @@ def random_building(seed: int) -> World:
 
 
 def _rooms(
-    random: np.random.Generator, width: float, depth: float, y: float, outwards: float
+    random: np.random.Generator,
+    furniture: np.random.Generator | None,
+    width: float,
+    depth: float,
+    y: float,
+    outwards: float,
 ) -> tuple[dict[str, list[Any]], list[float]]:
     """Return the shapes of rooms along a corridor's side of a width, and the x of the doors of the visited rooms.
 
-    y         of the wall between the corridor and the rooms, metres
-    outwards  1 if the rooms are above it, -1 if below
+    furniture  draws the boxes instead of `random`; None if it does not
+    y          of the wall between the corridor and the rooms, metres
+    outwards   1 if the rooms are above it, -1 if below
     """
     back = y + outwards * depth
     walls, boxes, doors, visits = [_wall((0.0, back), (width, back))], [], [], []
@@ -71,19 +79,36 @@ def _rooms(
         if random.random() < VISITED:
             visits.append(door + DOOR / 2)
         walls.append(_wall((x, y), (x, back)))
-        for _ in range(random.integers(0, 4)):
-            size = random.uniform([0.4, 0.3], [1.4, 0.8])
-            inside = random.uniform(INSIDE + CLEARANCE + np.hypot(*size) / 2, depth)
-            at = (random.uniform(x, end), y + outwards * inside)
-            boxes.append(_box(at, size, random.choice([0.0, random.uniform(0.0, 90.0)])))
+        usual = _furniture(random, x, end, depth)
+        pieces = usual if furniture is None else _furniture(furniture, x, end, depth)
+        boxes += [_box((along, y + outwards * inside), size, turn) for along, inside, size, turn in pieces]
         x = end
     walls += [_wall((width, y), (width, back)), _wall((0.0, y), (width, y)) | {"doors": doors}]
     return {"walls": walls, "boxes": boxes}, visits
 
 
-def room_with_boxes(seed: int, boxes: int = 16) -> World:
-    """Return two rooms with a door between them and boxes in any direction, some of them close to a wall."""
-    random = np.random.default_rng(seed)
+def _furniture(
+    random: np.random.Generator, start: float, end: float, depth: float
+) -> list[tuple[float, float, np.ndarray[Any, Any], float]]:
+    """Return up to three pieces in a room from `start` to `end` along the corridor: position, size and turn.
+
+    The position is that along the corridor and from it into the room, metres; the turn is in degrees.
+    """
+    pieces = []
+    for _ in range(random.integers(0, 4)):
+        size = random.uniform([0.4, 0.3], [1.4, 0.8])
+        inside = random.uniform(INSIDE + CLEARANCE + np.hypot(*size) / 2, depth)
+        along = random.uniform(start, end)
+        pieces.append((along, inside, size, float(random.choice([0.0, random.uniform(0.0, 90.0)]))))
+    return pieces
+
+
+def room_with_boxes(seed: int, boxes: int = 16, furniture: np.random.Generator | None = None) -> World:
+    """Return two rooms with a door between them and boxes in any direction, some of them close to a wall.
+
+    furniture  draws the boxes; None for the seed's own
+    """
+    random = np.random.default_rng(seed) if furniture is None else furniture
     path = np.array([[1.5, 1.2], [6.5, 1.4], [6.5, 4.5], [9.5, 4.0], [13.0, 1.5], [13.0, 6.0], [9.5, 4.0], [6.0, 4.5]])
     path = np.vstack([path, [[2.0, 6.0], [1.5, 1.2]]])
     walls = _rectangle(0.0, 0.0, 15.0, 7.5)
@@ -91,13 +116,13 @@ def room_with_boxes(seed: int, boxes: int = 16) -> World:
     placed: list[dict[str, Any]] = []
     while len(placed) < boxes:
         at, size = random.uniform([0.3, 0.3], [14.7, 7.2]), random.uniform([0.4, 0.3], [1.2, 0.8])
-        if _distance_from_path(at, path) > np.hypot(*size) / 2 + CLEARANCE / 2:
+        if distance_from_path(at, path) > np.hypot(*size) / 2 + CLEARANCE / 2:
             placed.append(_box((float(at[0]), float(at[1])), size, random.uniform(0.0, 90.0)))
     content = {"path": path.tolist(), "walls": walls, "boxes": placed}
     return build_world("boxes", WorldFile.model_validate(content))
 
 
-def _distance_from_path(point: np.ndarray[Any, Any], path: np.ndarray[Any, Any]) -> float:
+def distance_from_path(point: np.ndarray[Any, Any], path: np.ndarray[Any, Any]) -> float:
     """Return the distance of a point (2,) from a polyline (n, 2), metres."""
     start, along = path[:-1], np.diff(path, axis=0)
     share = np.clip(np.sum((point - start) * along, axis=1) / np.sum(along**2, axis=1), 0.0, 1.0)

@@ -48,20 +48,27 @@ class LaterDrive:
         return self.simulation.trajectory.poses_at(stamps - self.shift)
 
 
-def small_stranger(seed: int, seconds: float | None = None) -> Simulation:
+def small_stranger(seed: int, seconds: float | None = None, furniture: np.random.Generator | None = None) -> Simulation:
     """Return a drive drawn from a seed like that of `stranger`, with a lidar of a small robot.
 
-    `seconds` is its duration, in which the tour is repeated; None follows it once.
+    seconds    its duration, in which the tour is repeated; None follows it once
+    furniture  draws other furniture in the same building
     """
-    drawn = stranger(seed)
+    drawn = stranger(seed, furniture)
     lidar = replace(drawn.lidar, beams=min(drawn.lidar.beams, MAX_BEAMS), rate=min(drawn.lidar.rate, MAX_RATE))
     return Simulation(drawn.world, seed, seconds, lidar, drawn.wheels, drawn.mount)
 
 
-def later_drive(earlier: Simulation) -> LaterDrive:
-    """Return a drive in the world of an earlier one, on the next day, with other errors of the wheels."""
+def later_drive(earlier: Simulation, *, refurnished: bool = False) -> LaterDrive:
+    """Return a drive in the world of an earlier one, on the next day, with other errors of the wheels.
+
+    refurnished  True if the earlier one is by `small_stranger`, and the furniture is another one now
+    """
     tour = earlier.trajectory.duration
     skipped = float(np.random.default_rng([earlier.seed, 2]).uniform(0.0, tour))
     seed, end = earlier.seed + OTHER_NOISE, skipped + LATER_SECONDS
-    later = Simulation(earlier.world, seed, end, earlier.lidar, earlier.wheels, earlier.mount)
+    world = earlier.world
+    if refurnished:
+        world = small_stranger(earlier.seed, furniture=np.random.default_rng([earlier.seed, 3])).world
+    later = Simulation(world, seed, end, earlier.lidar, earlier.wheels, earlier.mount)
     return LaterDrive(later, skipped, DAY)

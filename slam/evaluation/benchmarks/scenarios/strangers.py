@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.simulation import LidarModel, Simulation, WheelModel, World, load_world
+from drivers.simulation import LidarModel, Simulation, WheelModel, World, build_world, load_world_file
 
 from .buildings import random_building, room_with_boxes
-from .world_variants import add_crowd, bend
+from .world_variants import add_crowd, bend, move_furniture
 
 OTHER_WORLDS = "office", "columns", "museum"
 """Worlds of the package among the drawn ones."""
@@ -19,15 +19,17 @@ MAX_PEOPLE = 8
 """People around the robot, at most."""
 
 
-def stranger(seed: int) -> Simulation:
+def stranger(seed: int, furniture: np.random.Generator | None = None) -> Simulation:
     """Return a drive drawn from a seed; the ranges of all parameters are those of robots and lidars on sale.
+
+    furniture  draws other furniture in the same building
 
     The lidar has 180 to 1440 beams in 180 to 360 degrees, 4 to 20 revolutions per second, a range of 5 to 30 m, noise
     of 3 to 30 mm, and any mount within 0.2 m. The systematic errors of the wheels are up to those of the simulator's
     bad ones.
     """
     random = np.random.default_rng([seed, 1])
-    world = _world(seed, random)
+    world = _world(seed, random, furniture)
     lidar = LidarModel(
         beams=int(random.choice([180, 360, 500, 720, 1080, 1440])),
         rate=float(np.exp(random.uniform(np.log(4.0), np.log(20.0)))),
@@ -51,14 +53,16 @@ def stranger(seed: int) -> Simulation:
     return Simulation(world, seed, None, lidar, wheels, mount)
 
 
-def _world(seed: int, random: np.random.Generator) -> World:
+def _world(seed: int, random: np.random.Generator, furniture: np.random.Generator | None) -> World:
     kind = random.random()
     if kind < 0.5:
-        world = random_building(seed)
+        world = random_building(seed, furniture)
     elif kind < 0.75:
-        world = room_with_boxes(seed)
+        world = room_with_boxes(seed, furniture=furniture)
     else:
-        world = load_world(str(random.choice(OTHER_WORLDS)))
+        name = str(random.choice(OTHER_WORLDS))
+        content = load_world_file(name)
+        world = build_world(name, content if furniture is None else move_furniture(content, furniture))
     world = replace(world, speed=world.speed * float(random.uniform(0.5, 1.5)))
     if random.random() < 0.3:
         world = bend(world, BENT_RMS, BENT_WAVELENGTH, random)

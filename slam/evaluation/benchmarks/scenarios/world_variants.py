@@ -1,4 +1,4 @@
-"""Variants of simulated worlds: mirrored, with bent walls, and with a crowd around the robot."""
+"""Variants of simulated worlds: mirrored, with bent walls, with moved furniture, and with a crowd around the robot."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.simulation import TemporaryShapes, World
+from drivers.simulation import TemporaryShapes, World, WorldFile
 from drivers.simulation.trajectory import follow_waypoints
+from drivers.simulation.world import Box
 
 from ....geometry.segments import Floats
+from .buildings import CLEARANCE, distance_from_path
 
 PIECE = 0.25
 """Metres, length of the straight pieces of a bent wall."""
+MOVED = 2.0
+"""Metres along both axes by which furniture is moved, at most."""
 PERSON_RADIUS = 0.2
 """Metres."""
 PEOPLE_STEP = 0.2
@@ -66,6 +70,19 @@ def _bent(segment: Floats, rms: float, scale: float, random: np.random.Generator
     normal = np.array([-along[1], along[0]]) / size
     nodes = ends[0] + share[:, None] * along + offset[:, None] * normal
     return np.hstack([nodes[:-1], nodes[1:]])
+
+
+def move_furniture(content: WorldFile, random: np.random.Generator) -> WorldFile:
+    """Return the content of a world with each box elsewhere near its place and turned anyhow, beside the path."""
+    path = np.array(content.path)
+    return content.model_copy(update={"boxes": [_moved(box, path, random) for box in content.boxes]})
+
+
+def _moved(box: Box, path: Floats, random: np.random.Generator) -> Box:
+    while True:
+        at = np.add(box.at, random.uniform(-MOVED, MOVED, 2))
+        if distance_from_path(at, path) > np.hypot(*box.size) / 2 + CLEARANCE / 2:
+            return box.model_copy(update={"at": tuple(at.tolist()), "turn": float(random.uniform(0.0, 90.0))})
 
 
 def add_crowd(world: World, people: int, random: np.random.Generator, duration: float | None = None) -> World:
