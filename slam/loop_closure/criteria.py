@@ -59,10 +59,11 @@ def support_checks(
     """Check that enough looks support a hypothesis, and that the uncertainty admits it if it leads elsewhere.
 
     Where the robot is, there may be another place that looks like the old one and is not mapped yet. It is mapped, and
-    is a rival, once the robot has driven as far as its position may be wrong, so the looks must show this distance.
-    The first one shows the drive before it, too, up to the length of a submap. How far the position may be wrong is
-    known best at the first look: all looks imply about the same motion, so the uncertainty that is added on the way
-    between them does not matter.
+    is a rival, once the robot has been as far away as its position may be wrong, so what the looks show must extend
+    over this distance: the way into a room and out of it again does not lead to the next one. The first look shows the
+    drive before it, too, up to the length of a submap. How far the position may be wrong is known best at the first
+    look: all looks imply about the same motion, so the uncertainty that is added on the way between them does not
+    matter.
 
     Furniture that was moved may look like another place in all looks that show it. So the looks must extend over the
     length of a submap as well if the hypothesis leads to another place, if the estimate is in doubt, or if parts of the
@@ -76,11 +77,12 @@ def support_checks(
     """
     count, first, old = len(hypothesis.support), hypothesis.support[0], hypothesis.support[-1].old
     elsewhere = joins or look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
-    least, shortest = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere and not ended else (MIN_SUPPORT, 0.0)
-    span = max(shortest, NORMAL_LIMIT * look.deviation_at(first) - look.distance_shown_before(first))
+    least, span = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere and not ended else (MIN_SUPPORT, 0.0)
+    extent = look.extent_since(first.travelled - look.distance_shown_before(first))
     checks = [
         Check("support", count, least, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),
+        Check("extent", extent, NORMAL_LIMIT * look.deviation_at(first), at_least=True),
         Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
     ]
     if elsewhere:

@@ -207,6 +207,11 @@ class Look:
         """Return the metres of driving before a match that its submap shows; it does not reach into another part."""
         return min(SUBMAP_LENGTH, match.travelled - float(self._travelled[self.first_of_part]))
 
+    def extent_since(self, travelled: float) -> float:
+        """Return the metres between those positions of the robot from a distance driven on that are farthest apart."""
+        x, y = self._mapper.keyframe_poses[self.keyframe_at(travelled) : self.last + 1, :2].T
+        return float(np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y)).max())
+
     def keyframe_at(self, travelled: float) -> int:
         """Return the first keyframe from a distance driven (metres) on."""
         return int(np.searchsorted(self._travelled, travelled))

@@ -13,6 +13,7 @@ MIN_REPORTED_SUPPORT = 2
 SENTENCES = {
     "support": "{:.0f} looks agree (requires {:.0f})",
     "span": "the looks that agree extend over {:.1f} m of driving (requires {:.1f} m)",
+    "extent": "the positions that the looks show are up to {:.1f} m apart (requires {:.1f} m)",
     "contradicted": "{:.0f} % as many looks contradict it as support it (at most {:.0f} %)",
     "mahalanobis": "the robot would move by {:.1f} standard deviations of the estimate (at most {:.1f})",
     "rival": "another place has {:.0f} % as many looks that support it (at most {:.0f} %)",

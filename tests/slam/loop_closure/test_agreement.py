@@ -14,11 +14,12 @@ from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import REFERENCE_DISTANCE, LocalField
 from slam.loop_closure import look_back
 from slam.loop_closure.agreement import LoopAgreement
-from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT
+from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT, support_checks
 from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.look import Look
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.loop_closure.loop_status import LoopStatus
+from slam.loop_closure.relative_uncertainty import UNMODELLED_SIGMAS
 from slam.loop_closure.returns import summarise
 from slam.loop_closure.submap_search import REVISIT_GAP, SUBMAP_LENGTH, SubmapMatch
 from slam.loop_closure.submaps import Submaps
@@ -185,11 +186,11 @@ def test_looks_need_not_extend_over_the_uncertainty_that_is_added_after_the_firs
     small = np.array([0.05, 0.05, 0.001])
     found, _, _ = drive_twice(np.array([0.3, 0.7, 0.01]), np.zeros(3), sigmas=small, growth=2.6, **hall)
     assert found
-    (span,) = [check for check in found[0].checks if check.name == "span"]
+    (extent,) = [check for check in found[0].checks if check.name == "extent"]
     first, last = found[0].matches[0], found[0].matches[-1]
     at_first, at_last = (NORMAL_LIMIT * 0.05 * (1.0 + 2.6 * match.travelled) for match in (first, last))
-    assert at_first < span.value + SUBMAP_LENGTH < at_last
-    assert span.gate == pytest.approx(at_first - SUBMAP_LENGTH, rel=0.1)
+    assert at_first < extent.value < at_last
+    assert extent.gate == pytest.approx(at_first, rel=0.1)
 
 
 def test_looks_before_the_one_that_proposes_a_loop_count_if_they_see_the_place() -> None:
@@ -364,6 +365,19 @@ def test_the_submap_of_a_match_does_not_show_what_was_driven_in_another_part() -
     first = matches[0].keyframe - 4
     state.landmarks.parts.begin(first, measured=True)
     assert look.distance_shown_before(matches[0]) == matches[0].travelled - state.travelled[first]
+
+
+@pytest.mark.parametrize(("room", "passed"), [(30.0, True), (4.0, False)])
+def test_what_looks_show_must_lead_as_far_as_the_position_may_be_wrong(room: float, *, passed: bool) -> None:
+    """The robot drives 25 m, ahead or to and fro in a room, and its position may be wrong by 9 m."""
+    state = StubMap(np.diag([3.0, 0.5, 0.05]) ** 2)
+    look, matches = matches_along_a_hall(state, [0.0] * 5)
+    state.keyframe_poses[:, 0] = room - np.abs(np.asarray(state.travelled) % (2 * room) - room)
+    checks = {check.name: check for check in support_checks(LoopHypothesis(np.zeros(3), matches), look, 0, joins=False)}
+    assert checks["span"].passed
+    assert checks["extent"].passed == passed
+    assert checks["extent"].gate == pytest.approx(NORMAL_LIMIT * np.hypot(3.0, UNMODELLED_SIGMAS[0]))
+    assert checks["extent"].value == pytest.approx(25.5 if passed else room)
 
 
 def test_looks_that_contradict_the_others_do_not_count() -> None:
