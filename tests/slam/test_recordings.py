@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from slam.offline.optimisation import optimise
 from ..recordings import recording_folder
 
 
+@cache  # two tests compare with the same run, which takes up to a minute
 def score(name: str, seconds: float | None = None, *, refine: bool = False) -> dict[str, float]:
     """The scores of the first `seconds` of a recording, or of all of it."""
     folder = recording_folder(name, "clf", "relations")

@@ -158,9 +158,31 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     noise = NORMAL_SCALE * np.median(np.abs(residuals(fit.x)), axis=0)
     fit = least_squares(scaled_residuals, fit.x, loss="soft_l1", f_scale=ROBUST_SIGMAS, args=(noise,))
     x, y, heading, *factors = fit.x.tolist()
-    sigma = np.sqrt(np.diag(np.linalg.inv(fit.jac.T @ fit.jac)))
+    # SciPy weights the Jacobian as the robust loss requires, but not the residuals.
+    weighted = fit.fun * (1.0 + (fit.fun / ROBUST_SIGMAS) ** 2) ** 0.25
+    sigma = np.sqrt(np.diag(_covariance(fit.jac.reshape(-1, 3, 6), weighted.reshape(-1, 3))))
     mount = np.array([x, y, float(se2.wrap(heading))])
     return Calibration(mount, OdometryCorrection(*factors), sigma, len(observed), turned, range_bias_of(slam))
+
+
+def _covariance(jacobians: Floats, residuals: Floats) -> Floats:
+    """Return the covariance (6, 6) of the unknowns, of which consecutive pairs of keyframes are not independent.
+
+    A keyframe's error is in two pairs, with opposite signs: it nearly cancels in a mean over a drive. So the covariance
+    is that of Newey and West, whose weights keep it positive, with as many pairs as they recommend [1].
+
+    jacobians  (n, 3, 6) of the residuals (n, 3), both weighted by the robust loss
+
+    [1] W. K. Newey, K. D. West, Automatic lag selection in covariance matrix estimation, Rev. Econ. Stud. 61(4), 1994.
+    """
+    gradients = np.einsum("nip,ni->np", jacobians, residuals)
+    lags = int(4.0 * (len(gradients) / 100.0) ** (2.0 / 9.0))
+    spread = gradients.T @ gradients
+    for lag in range(1, lags + 1):
+        shared = gradients[:-lag].T @ gradients[lag:]
+        spread += (1.0 - lag / (lags + 1.0)) * (shared + shared.T)
+    inverse = np.linalg.inv(np.einsum("nip,niq->pq", jacobians, jacobians))
+    return np.asarray(inverse @ spread @ inverse)
 
 
 def _closed_form_mount(driven: Floats, observed: Floats) -> se2.Pose:

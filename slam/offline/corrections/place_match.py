@@ -70,10 +70,13 @@ def _misfit(found: list[SubmapMatch]) -> str:
     """Return why no match counts, in words; they are sorted by their scores."""
     if not found:
         return "the scans fit at no pose"
-    best = found[0]
-    if best.fit < MIN_PLACE_FIT:
-        return f"at the best pose {percent(best.fit)} of the points fit (at least {percent(MIN_PLACE_FIT)} needed)"
-    if best.known < MIN_KNOWN:
+    fitting = [match for match in found if match.fit >= MIN_PLACE_FIT]
+    if not fitting:
+        return f"at the best pose {percent(found[0].fit)} of the points fit (at least {percent(MIN_PLACE_FIT)} needed)"
+    known = max(match.known for match in fitting)
+    if known < MIN_KNOWN:  # where nothing was seen, nothing contradicts
         needed = f"(at least {percent(MIN_KNOWN)} needed)"
-        return f"the older scans have seen {percent(best.known)} of what the later ones show {needed}"
+        return (
+            f"the scans fit only where the older ones have seen {percent(known)} of what the later ones show {needed}"
+        )
     return "the scans do not determine the position in every direction, as along a bare corridor"

@@ -12,6 +12,7 @@ from drivers.messages import Odometry, Scan
 from drivers.simulation import LidarModel, Simulation
 from slam.config import Config, LidarConfig
 from slam.errors import MapError
+from slam.geometry.chi_square import chi_square_quantile
 from slam.offline.calibration.extrinsics import Calibration, OdometryCorrection, calibrate
 
 ROBOT = LidarModel(beams=180, rate=4.0)
@@ -58,8 +59,8 @@ def test_standard_errors_are_consistent() -> None:
         found = calibrate(simulation, GUESS)
         scaled.append((values(found) - true_values(simulation)) / found.sigma)
     spread = np.sqrt(np.mean(np.square(scaled), axis=0))
-    assert np.all(spread < 2.0)
-    assert np.all(spread > 0.2)
+    low, high = (np.sqrt(chi_square_quantile(level, 10) / 10) for level in (0.001, 0.999))
+    assert np.all((low < spread) & (spread < high))
 
 
 def test_correction_undoes_wrong_wheels() -> None:

@@ -71,9 +71,12 @@ def test_parts_that_merging_connected_cannot_be_separated() -> None:
 
 @pytest.mark.slow
 def test_a_join_is_forbidden_and_closed_again(wclm: Any, tmp_path: Path) -> None:
-    """A robot is carried while it drives; without the join, odometry alone places what it mapped afterwards."""
+    """A robot is carried while it drives; without the join, odometry alone places what it mapped afterwards.
+
+    The drive ends after the robot has gone twice along the way from before it was carried.
+    """
     with McapWriter(tmp_path / "drive.mcap") as writer:
-        for message in kidnapped(office(150.0), 60.0, 75.0):
+        for message in kidnapped(office(230.0), 60.0, 75.0):
             writer.write(message)
     session = tmp_path / "out"
     assert wclm("run", tmp_path / "drive.mcap", "--out", session, "--no-review").exit_code == 0

@@ -16,7 +16,8 @@ from slam.errors import MapError
 from slam.estimation.slam_state import SlamState
 from slam.io.sessions.corrections import Place, PlaceClosing
 from slam.io.tum import Trajectory
-from slam.offline.corrections import correct_session
+from slam.loop_closure.submap_search import SubmapMatch
+from slam.offline.corrections import correct_session, place_match
 from slam.offline.corrections.place_match import match_places
 
 LIDAR = LidarModel(beams=180, rate=4.0)
@@ -105,8 +106,27 @@ def test_other_places_are_refused_with_the_reason(state: SlamState) -> None:
     with pytest.raises(MapError, match=r"keyframes 0 and 5: only .* m of driving apart"):
         match_places(state, 0, 5, None)
     elsewhere = int(np.searchsorted(travelled, 14.0))
-    with pytest.raises(MapError, match=rf"keyframes 0 and {elsewhere} are not one place: .*(fit|seen)"):
+    with pytest.raises(MapError, match=rf"keyframes 0 and {elsewhere} are not one place: .* fit"):
         match_places(state, 0, elsewhere, None)
+
+
+def test_the_reason_is_the_criterion_that_no_match_meets(state: SlamState, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the older scans have seen nothing, nothing contradicts a pose: that all points fit there says little."""
+    covariance, last = np.diag([1e-4, 1e-4, 1e-6]), state.mapper.keyframe_count - 1
+    outside = SubmapMatch(np.zeros(3), covariance, fit=1.0, known=0.0)
+    partly = replace(outside, fit=0.9, known=0.2)
+    misfit = replace(outside, fit=0.6, known=0.9)
+    sliding = replace(misfit, fit=0.9, covariance=np.diag([100.0, 1e-4, 1e-6]))
+    for found, reason in (
+        ([], "fit at no pose"),
+        ([misfit], "60 % of the points fit"),
+        ([outside], "fit only where the older ones have seen 0 %"),
+        ([partly, outside, misfit], "fit only where the older ones have seen 20 %"),
+        ([partly, sliding], "do not determine the position"),
+    ):
+        monkeypatch.setattr(place_match, "search_submap", lambda *_, found=found: found)
+        with pytest.raises(MapError, match=reason):
+            match_places(state, 0, last, None)
 
 
 def test_a_part_of_the_map_that_was_not_recognised_is_joined_by_hand(world: Path) -> None:
