@@ -13,7 +13,6 @@ from drivers.messages import Odometry
 
 from ..geometry.growing_array import GrowingArray
 from ..geometry.normal_distribution import NORMAL_SCALE
-from ..geometry.pose_arrays import interpolate_each
 from ..geometry.segments import Floats
 from .measurement_clock import USUAL_PERIOD
 
@@ -153,6 +152,8 @@ class OdometryHistory:
 
     def at_each(self, stamps: Floats) -> Floats:
         """Return (n, 3) the poses at several stamps."""
+        from ..geometry.pose_arrays import interpolate_each  # compiled code, which reports do without
+
         stamps = np.array(stamps, dtype=np.float64, order="C")  # not read-only, which would be compiled for separately
         if not len(stamps):
             return np.zeros((0, 3))
