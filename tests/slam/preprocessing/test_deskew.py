@@ -107,6 +107,17 @@ def test_walls_stay_straight_and_in_place_while_the_robot_turns() -> None:
     assert min(skewed) > 0.05  # without de-skewing
 
 
+def test_the_poses_at_the_beams_are_those_of_the_drive() -> None:
+    """Within a millimetre and a milliradian, also between the poses from which they are interpolated."""
+    simulation = spinning()
+    history = history_of(simulation)
+    for scan in (message for message in simulation if isinstance(message, Scan)):
+        motion = deskew(scan, history, simulation.mount).motion
+        true = simulation.trajectory.poses_at(sweep_middle(scan) + motion.times)
+        middle = simulation.trajectory.poses_at(np.array([sweep_middle(scan)]))
+        np.testing.assert_allclose(motion.poses, se2.between(middle, true), atol=1e-3)
+
+
 @pytest.mark.parametrize(("interval", "expected"), [(0.001, 0.001), (0.02, 0.02), (0.07, 0.07), (0.5, 0.1)])
 def test_the_error_of_odometry_changes_evenly_between_readings(interval: float, expected: float) -> None:
     """Where they are far apart, it changes evenly while robots move smoothly."""
