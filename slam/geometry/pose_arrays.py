@@ -34,9 +34,7 @@ def between_each(first, second):  # type: ignore[no-untyped-def]
     result = np.empty((count, 3))
     for k in range(count):
         a, b = first[min(k, len(first) - 1)], second[min(k, len(second) - 1)]
-        c, s = math.cos(a[2]), math.sin(a[2])
-        x, y, heading = -c * a[0] - s * a[1], s * a[0] - c * a[1], _wrapped(-a[2])
-        result[k, 0], result[k, 1], result[k, 2] = _product(x, y, heading, b)
+        result[k, 0], result[k, 1], result[k, 2] = _between(a, b)
     return result
 
 
@@ -67,12 +65,17 @@ def interpolate_each(times, poses, wanted):  # type: ignore[no-untyped-def]
         if after > 0 and times[after] > wanted[k]:
             before = poses[after - 1]
             part = (wanted[k] - times[after - 1]) / (times[after] - times[after - 1])
-            c, s = math.cos(before[2]), math.sin(before[2])
-            x, y, heading = -c * before[0] - s * before[1], s * before[0] - c * before[1], _wrapped(-before[2])
-            x, y, heading = _product(x, y, heading, pose)
-            motion = part * x, part * y, part * heading
+            x, y, turn = _between(before, pose)
+            motion = part * x, part * y, part * turn
             result[k, 0], result[k, 1], result[k, 2] = _product(before[0], before[1], before[2], motion)
     return result
+
+
+@inlined
+def _between(first, second):  # type: ignore[no-untyped-def]
+    c, s = math.cos(first[2]), math.sin(first[2])
+    x, y, heading = -c * first[0] - s * first[1], s * first[0] - c * first[1], _wrapped(-first[2])
+    return _product(x, y, heading, second)
 
 
 @inlined

@@ -59,11 +59,11 @@ def support_checks(
     """Check that enough looks support a hypothesis, and that the uncertainty admits it if it leads elsewhere.
 
     Where the robot is, there may be another place that looks like the old one and is not mapped yet. It is mapped, and
-    is a rival, once the robot has been as far away as its position may be wrong, so what the looks show must extend
-    over this distance: the way into a room and out of it again does not lead to the next one. The first look shows the
-    drive before it, too, up to the length of a submap. How far the position may be wrong is known best at the first
-    look: all looks imply about the same motion, so the uncertainty that is added on the way between them does not
-    matter.
+    is a rival, once the robot has been as far away as its position may be wrong. So two of the positions that the looks
+    show must be that far apart: a robot that drives into a room and out again does not see the next room. The first
+    look shows the drive before it, too, up to the length of a submap. How far the position may be wrong is known best
+    at the first look: all looks imply about the same motion, so the uncertainty that is added on the way between them
+    does not matter.
 
     Furniture that was moved may look like another place in all looks that show it. So the looks must extend over the
     length of a submap as well if the hypothesis leads to another place, if the estimate is in doubt, or if parts of the

@@ -208,7 +208,7 @@ class Look:
         return min(SUBMAP_LENGTH, match.travelled - float(self._travelled[self.first_of_part]))
 
     def extent_since(self, travelled: float) -> float:
-        """Return the metres between those positions of the robot from a distance driven on that are farthest apart."""
+        """Return the largest distance between positions of the robot, metres, from a distance driven on."""
         x, y = self._mapper.keyframe_poses[self.keyframe_at(travelled) : self.last + 1, :2].T
         return float(np.hypot(np.subtract.outer(x, x), np.subtract.outer(y, y)).max())
 

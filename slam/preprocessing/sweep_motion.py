@@ -10,6 +10,7 @@ import numpy as np
 
 from drivers.compiled import compiled, inlined
 
+from ..geometry.pose_arrays import between_each
 from ..geometry.segments import Floats
 from ..odometry.history import TRAVEL_PER_RADIAN, wheel_travel
 from ..odometry.measurement_clock import USUAL_PERIOD
@@ -63,8 +64,8 @@ def beams_from_middle(ranges, angles, times, knots, lidars, moves):  # type: ign
     lidars          (k, 3) poses of the lidar at these relative to that in the middle, headings unwrapped
     moves           (k, 3) poses of the base likewise
 
-    The poses (n, 3) of the base at each beam, relative to that in the middle, are interpolated as those of the lidar.
-    A missing range stays missing, and its bearing is turned with the lidar.
+    The poses (n, 3) of the base at the beams are relative to that in the middle, too. A missing range stays missing;
+    its bearing is turned with the lidar.
     """
     count, last = len(ranges), len(knots) - 1
     seen_ranges, bearings, poses = np.empty(count), np.empty(count), np.empty((count, 3))
@@ -98,11 +99,10 @@ def travelled_at(poses, knots, wanted):  # type: ignore[no-untyped-def]
 
     Before and after the knots, the speed is that at their ends.
     """
-    travelled = np.zeros(len(knots))
-    for k in range(1, len(knots)):
-        turn = abs((poses[k, 2] - poses[k - 1, 2] + math.pi) % (2.0 * math.pi) - math.pi)
-        x, y = poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1]
-        travelled[k] = travelled[k - 1] + math.sqrt(x * x + y * y) + TRAVEL_PER_RADIAN * turn
+    travelled, steps = np.zeros(len(knots)), between_each(poses[:-1], poses[1:])
+    for k in range(len(steps)):
+        length = math.sqrt(steps[k, 0] ** 2 + steps[k, 1] ** 2)
+        travelled[k + 1] = travelled[k] + length + TRAVEL_PER_RADIAN * abs(steps[k, 2])
     result = np.empty(len(wanted))
     after = 1
     for j in range(len(wanted)):

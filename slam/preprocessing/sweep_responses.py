@@ -56,7 +56,8 @@ def segment_responses(
     mount: se2.Pose,
 ) -> Floats:
     """Return (n, 2, m + 4) the changes of offset and heading by one standard deviation of each error."""
-    translation = float(model.variances(np.ones(()))[0])  # after one metre
+    position_sigma = math.sqrt(float(model.variances(np.ones(()))[0]))  # after one metre
+    heading_sigma = math.sqrt(float(model.variances(np.array(motion.offset))[1]))
     return np.asarray(
         _responses(
             segments.frame,
@@ -70,7 +71,7 @@ def segment_responses(
             tuple(mount.tolist()),
             (noise.sigma_range**2, noise.sigma_bearing**2),
             np.sqrt(model.variances(motion.steps)[1]),
-            (math.sqrt(translation), math.sqrt(float(model.variances(np.array(motion.offset))[1])), motion.speed_error),
+            (position_sigma, heading_sigma, motion.speed_error),
         )
     )
 

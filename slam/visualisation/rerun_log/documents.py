@@ -81,7 +81,7 @@ def loop_report(event: LoopDecided) -> str:
 _CHECKS = {
     "support": "looks that support it",
     "span": "metres driven between the first and the last of them",
-    "extent": "metres between the positions farthest apart that they show",
+    "extent": "largest distance between positions that they show, metres",
     "contradicted": "looks that contradict it / looks that support it",
     "mahalanobis": "deviation from the estimate, sigmas",
     "rival": "looks that support another place / looks that support it",
