@@ -40,6 +40,7 @@ class RunSession:
         """Return the session of a run without queued scans; `state` is then no longer changed by the run."""
         state.mapper.gauge.release(state.mapper)
         state.mapper.graph.solver.dismiss_isam()
+        state.local_field.free()
         return_freed_memory()
         return self._stored(state)
 
@@ -63,6 +64,7 @@ class RunSession:
         segments, copied = self.journal.segments, state.copy()
         if copied.mapper.gauge.motion is None:  # else the graph is solved once more, for `RunSnapshot.finished`
             copied.mapper.graph.solver.dismiss_isam()  # it would keep what the run replaces meanwhile
+        copied.local_field.free()
         session = self._stored(copied)
         session.scans, session.queued_scans = self.journal.scans.copy(), self.preprocessor.queued
         session.starts = list(segments.starts)

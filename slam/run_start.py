@@ -34,6 +34,7 @@ def continued_state(config: Config, session: StoredSession) -> SlamState:
     if session.config.odometry.source != config.odometry.source:
         state.replace_odometry(config)
     state.mapper.gauge.hold(state.mapper)
+    state.local_field.rebuild()
     return state
 
 

@@ -76,6 +76,8 @@ class LocalField:
 
     def __init__(self) -> None:
         self.field = DistanceField.empty(np.zeros(2))
+        self._is_shared = False  # True if a copy may have the same field and successor
+        self._freed: LocalFieldState | None = None  # what the field is rebuilt from if its memory has been freed
         self._points: list[NDArray[np.float32]] = []  # of each keyframe, in its frame
         self._links: list[tuple[int, int]] = []
         self._gaps: dict[int, float] = {}
@@ -87,34 +89,56 @@ class LocalField:
         self._recent: _RecentField | None = None  # last result of `recent`; scans in a row often need the same
 
     def __deepcopy__(self, memo: dict[int, object]) -> LocalField:
-        """Return an independent copy; the points of keyframes are never changed and are shared."""
+        """Return an independent copy; the points of keyframes are never changed and are shared.
+
+        The field, which takes some megabytes, is copied when one of both is changed: most copies are not.
+        """
         other = LocalField()
-        other.field = copy.deepcopy(self.field)
+        self._is_shared = other._is_shared = True
+        other.field, other._freed = self.field, self._freed
         other._points, other._links, other._may_lack_near = list(self._points), list(self._links), self._may_lack_near
         other._gaps = dict(self._gaps)
         other._may_have_far = self._may_have_far
         other._inserted, other._inserted_poses = self._inserted, self._inserted_poses  # replaced, never changed
-        other._successor = copy.deepcopy(self._successor)
+        other._successor = self._successor
         return other
 
     @property
     def state(self) -> LocalFieldState:
         """State to be saved."""
         links, inserted = tuple(self._links), tuple(self._inserted.tolist())
-        successor = None if self._successor is None else self._successor.state
-        return LocalFieldState(self.field.centre, links, dict(self._gaps), inserted, self._inserted_poses, successor)
+        if self._freed is not None:
+            centre, successor = self._freed.centre, self._freed.successor
+        else:
+            centre, successor = self.field.centre, None if self._successor is None else self._successor.state
+        return LocalFieldState(centre, links, dict(self._gaps), inserted, self._inserted_poses, successor)
 
     def restore(self, state: LocalFieldState) -> None:
         """Continue from a saved state, after the points of all keyframes have been added.
 
         If no keyframe was inserted, those around the robot are inserted by the next update.
         """
-        self.field, self._may_lack_near = DistanceField.empty(state.centre), not state.inserted
-        self._links, self._gaps = list(state.links), dict(state.gaps)
+        self._links, self._gaps, self._may_lack_near = list(state.links), dict(state.gaps), not state.inserted
         self._inserted, self._inserted_poses = np.array(state.inserted, dtype=np.int64), state.inserted_poses
+        self._build(state)
+
+    def _build(self, state: LocalFieldState) -> None:
+        """Build the field and its successor from the points that are stated to be in them."""
+        self.field = DistanceField.empty(state.centre)
         self.field.insert_scans(self._inserted_poses, self.points_of(self._inserted))
         saved = state.successor
         self._successor = None if saved is None else FieldSuccessor.restored(saved, self._points)
+        self._is_shared, self._freed = False, None
+
+    def free(self) -> None:
+        """Free the memory of the field. No scan can be matched with it, and no keyframe inserted, until `rebuild`."""
+        self._freed = self.state
+        self.field, self._successor = DistanceField.empty(np.zeros(2), half_width=0.0), None
+
+    def rebuild(self) -> None:
+        """Build the field again if its memory has been freed."""
+        if self._freed is not None:
+            self._build(self._freed)
 
     @property
     def inserted(self) -> Integers:
@@ -174,6 +198,7 @@ class LocalField:
     def clear(self) -> None:
         """Empty the field, as where a new part of the map begins: the next keyframe may be anywhere."""
         self.field, self._may_lack_near = DistanceField.empty(self.field.centre), True
+        self._is_shared, self._freed = False, None
         self._inserted, self._inserted_poses = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
         self._successor = self._recent = None
 
@@ -228,10 +253,15 @@ class LocalField:
         from_centre = self.field.centre_distance(poses[keyframe])
         moved = _largest_shift(poses, self._inserted, self._inserted_poses) > MAX_DISPLACEMENT
         if moved or self._may_have_far or from_centre > FAR_FROM_CENTRE:
-            self.field, self._inserted = self.field.cleared(poses[keyframe]), self._inserted[:0]
-            self._may_lack_near, self._may_have_far, self._successor = True, False, None
-        elif from_centre > MAX_CENTRE_DISTANCE and self._successor is None:
-            self._successor = FieldSuccessor.around(poses[keyframe], self.path_distances(travelled).near([keyframe]))
+            centre = poses[keyframe]
+            self.field = DistanceField.empty(centre) if self._is_shared else self.field.cleared(centre)
+            self._inserted, self._successor, self._is_shared = self._inserted[:0], None, False
+            self._may_lack_near, self._may_have_far = True, False
+        else:
+            self._end_sharing()
+            if from_centre > MAX_CENTRE_DISTANCE and self._successor is None:
+                near = self.path_distances(travelled).near([keyframe])
+                self._successor = FieldSuccessor.around(poses[keyframe], near)
         new = self._new_keyframes(keyframe, travelled)
         self.field.insert_scans(poses[new], self.points_of(new))
         before = self._inserted_poses[: len(self._inserted)]
@@ -240,6 +270,12 @@ class LocalField:
         if self._successor is not None:
             self._successor.add(new)
             self._build_successor(self._successor, poses)
+
+    def _end_sharing(self) -> None:
+        """Copy the field and its successor if a copy of this object may have them too, as they are to be changed."""
+        if self._is_shared:
+            self.field, self._successor = copy.deepcopy(self.field), copy.deepcopy(self._successor)
+            self._is_shared = False
 
     def _new_keyframes(self, keyframe: int, travelled: Sequence[float]) -> Integers:
         """Return the keyframes to be inserted: those added since the last update, and those near by new links."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
+import pytest
 
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.field_successor import KEYFRAMES_PER_STEP
@@ -196,6 +199,48 @@ def test_restored_field_continues_as_the_saved_one() -> None:
     np.testing.assert_array_equal(offsets_of(restored.field), offsets_of(field.field))
     assert restored.state.links == ((2, 28),)
     assert list(restored.inserted) == list(field.inserted)
+
+
+@pytest.mark.parametrize("displacement", [0.0, 2.0 * MAX_DISPLACEMENT])
+@pytest.mark.parametrize("changed", [0, 1])
+def test_copy_and_original_do_not_change_each_other(changed: int, displacement: float) -> None:
+    """Either is changed: it gets a keyframe, with which it is also built anew if the other poses have changed."""
+    poses, travelled, field = slow_drive(0.03, MAX_CENTRE_DISTANCE + 0.1)
+    other = copy.deepcopy(field)
+    assert other.field is field.field  # takes no memory before a change
+    kept, continued = (field, other)[1 - changed], (field, other)[changed]
+    before, offsets = kept.state, offsets_of(kept.field).copy()
+    continued.add(SCAN)
+    moved = poses + np.array([0.0, displacement, 0.0])
+    poses = np.vstack([moved, [0.0, 2.0, 0.0]])
+    continued.update(len(poses) - 1, poses, [*travelled, travelled[-1] + 3.0])
+    np.testing.assert_array_equal(offsets_of(kept.field), offsets)
+    np.testing.assert_array_equal(kept.inserted, before.inserted)
+    assert before.successor is not None
+    assert kept.state.successor is not None
+    np.testing.assert_array_equal(kept.state.successor.poses, before.successor.poses)
+    at_once = LocalField()
+    for _ in poses:
+        at_once.add(SCAN)
+    at_once.restore(continued.state)
+    np.testing.assert_array_equal(offsets_of(continued.field), offsets_of(at_once.field))
+
+
+def test_field_whose_memory_was_freed_continues_as_before() -> None:
+    poses, travelled, field = slow_drive(0.03, MAX_CENTRE_DISTANCE + 0.1)
+    freed = copy.deepcopy(field)
+    freed.free()
+    assert freed.field.seen.size == 0
+    for one in (field, freed):
+        one.link(1, len(poses) - 1)
+    assert freed.state.links == field.state.links
+    assert freed.state.successor is not None
+    freed.rebuild()
+    for one in (field, freed):
+        one.update(len(poses) - 1, poses, travelled)
+    np.testing.assert_array_equal(offsets_of(freed.field), offsets_of(field.field))
+    np.testing.assert_array_equal(freed.inserted, field.inserted)
+    assert (freed.state.successor is None) == (field.state.successor is None)
 
 
 def test_references_are_keyframes_nearby_from_the_oldest_to_the_latest_one() -> None:
