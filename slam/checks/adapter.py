@@ -62,7 +62,7 @@ def drive_of(
     return Drive(
         stamps=of_scans[rows],
         poses=poses[found[rows]],
-        odometry=_corrected_path(scans.odometry[rows], odometry_model),
+        odometry=_corrected_path(scans.odometry[rows], odometry_model, poses[found[rows]]),
         segment=segment,
         points=[scans.points(row) for row in rows.tolist()],
         deviations=odometry_model.deviations,
@@ -235,9 +235,12 @@ def _largest_deviations(mapper: Mapper, firsts: Sequence[int]) -> tuple[float, f
     return position, float(np.sqrt(max(covariance[2, 2] for covariance in covariances)))
 
 
-def _corrected_path(odometry: Floats, model: OdometryModel) -> Floats:
-    """Return odometry poses (n, 3) along which each motion is without its systematic error."""
-    motions = model.correct(se2.between(odometry[:-1], odometry[1:]))
+def _corrected_path(odometry: Floats, model: OdometryModel, poses: Floats) -> Floats:
+    """Return odometry poses (n, 3) along which each motion is without its systematic error.
+
+    `poses` (n, 3) are those of the path, see `OdometryModel.correct_near`.
+    """
+    motions = model.correct_near(se2.between(odometry[:-1], odometry[1:]), se2.between(poses[:-1], poses[1:]))
     path = odometry.copy()
     path[1:, 2] = odometry[:1, 2] + np.cumsum(motions[:, 2])
     turned = se2.transform(np.column_stack([np.zeros((len(motions), 2)), path[:-1, 2]]), motions[:, :2])

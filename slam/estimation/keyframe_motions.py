@@ -45,7 +45,7 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking:
         if not fails:
             learn_motion(state, odometry, tracking)
         model = state.unmeasured_model if fails else state.odometry_model
-        motion = registered if fails else model.correct(measured)
+        motion = registered if fails else model.correct_near(measured, registered)
         covariance = model.covariance(motion)
         if state.slipped and not fails:  # odometry is wrong by as much as registration says
             error = se2.between(motion, registered)

@@ -19,6 +19,7 @@ from ..geometry.pose_covariance import covariance_after
 from ..geometry.small_matrices import inverse
 from ..localisation.tracking import CONDITIONING, TrackingResult
 from ..odometry.error_model import MAX_LEARNING_SIGMA
+from ..odometry.history import QUARTER_TURN
 from ..preprocessing.preprocessor import ProcessedScan
 from .slam_state import SlamState
 from .tracking_checkpoint import Anchor
@@ -104,4 +105,5 @@ def learn_motion(state: SlamState, odometry: se2.Pose, tracking: TrackingResult)
     information = tracking.registration.total_information
     if start.covariance.any():
         information = inverse(inverse(information + CONDITIONING) + covariance_after(start.covariance, by_scan))
-    state.odometry_model.add_motion(measured, by_scan, information)
+    if abs(measured[2]) <= QUARTER_TURN:
+        state.odometry_model.add_motion(measured, by_scan, information)

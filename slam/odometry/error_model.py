@@ -13,7 +13,7 @@ from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import CORRIDOR_LENGTH
-from .history import wheel_travel
+from .history import QUARTER_TURN, wheel_travel
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
 from .systematic_errors import MIN_MOTION_TRAVEL, PERFECT, SystematicErrors
 
@@ -144,6 +144,28 @@ class OdometryModel:
     def correct(self, motion: se2.Pose) -> se2.Pose:
         """Return measured motions (..., 3) as motions of the base, without their systematic errors."""
         return self._systematic.correct(motion)
+
+    def correct_near(self, motion: se2.Pose, expected: se2.Pose) -> se2.Pose:
+        """Return measured motions (..., 3) without their systematic errors, which depend on the turn.
+
+        If the turn is not certain, see `correct_otherwise`, it is the one that leads closer to the heading of an
+        `expected` motion (..., 3), as of the scans.
+        """
+        corrected, other = self.correct(motion), self.correct_otherwise(motion)
+        error, of_other = (np.abs(se2.wrap(one[..., 2] - expected[..., 2])) for one in (corrected, other))
+        return np.where((of_other < error)[..., None], other, corrected)
+
+    def correct_otherwise(self, motion: se2.Pose) -> se2.Pose:
+        """Return measured motions (..., 3) without their systematic errors if they turned the other way.
+
+        Two poses of odometry tell a turn up to full turns only. Turns of up to QUARTER_TURN are certain.
+        """
+        uncertain = np.abs(motion[..., 2]) > QUARTER_TURN
+        if not np.any(uncertain):
+            return self.correct(motion)
+        full_turn = np.zeros(motion.shape)
+        full_turn[..., 2] = np.where(uncertain, np.copysign(2.0 * np.pi, motion[..., 2]), 0.0)
+        return self.correct(motion - full_turn)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""

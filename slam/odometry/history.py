@@ -19,6 +19,9 @@ from .measurement_clock import USUAL_PERIOD
 # Seconds before the first reading for which the robot is taken to have moved evenly: before, it is taken to have stood.
 # Origin: chosen, a little longer than an Arduino boots when its port is opened.
 MAX_EXTENSION = 2.0
+# Radians between two poses of odometry up to which the turn between them is certain: beyond half a turn it may as well
+# be one the other way. Origin: definition, half of that.
+QUARTER_TURN = 0.5 * math.pi
 # Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
 # Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
 TRAVEL_PER_RADIAN = 0.25
@@ -123,6 +126,21 @@ class OdometryHistory:
         """Return stamps (n,) and poses (n, 3) of the readings from `begin` (seconds) to the first one from `end` on."""
         first, last = bisect.bisect_left(self.stamps, begin), bisect.bisect_left(self.stamps, end) + 1
         return self.stamps[first:last], self._poses.rows[first:last].copy()
+
+    def quarter_turns(self, begin: float, end: float) -> Floats:
+        """Return (n, 3) the poses between two stamps at which odometry has turned by a quarter since the one before.
+
+        The first quarter begins at `begin` (seconds). Two poses tell the turn between them up to full turns only, so
+        that a motion which may turn by more than half a turn is known by the poses on its way.
+        """
+        _, poses = self.readings_between(begin, end)
+        headings, rows = np.unwrap(poses[:-1, 2]).tolist(), list[int]()
+        last = headings[0] if headings else 0.0
+        for row, heading in enumerate(headings):
+            if abs(heading - last) >= QUARTER_TURN:
+                rows.append(row)
+                last = heading
+        return poses[rows]
 
     def blocks(self) -> Iterator[tuple[Floats, Floats]]:
         """Yield stamps (n,) and poses (n, 3) of all readings, up to BLOCK at a time."""

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.immutable import immutable
 
+from ...geometry.pose_covariance import covariance_after
 from ...geometry.segments import Floats, Integers
 from ...mapping.trajectory_builder import TrajectoryBuilder
 from ...odometry.error_model import OdometryModel
+from ...odometry.history import QUARTER_TURN
 from ...preprocessing.preprocessor import ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
 from ..keyframe_motions import UNMEASURED_MOTION_SIGMAS
@@ -120,8 +122,13 @@ class ScanHistory:
             return motion, np.diag(UNMEASURED_MOTION_SIGMAS**2)
         if odometry_wrong[row : to + 1].any():
             return motion, np.diag(WRONG_ODOMETRY_SIGMAS**2)
-        motion = model.correct(motion)
-        return motion, model.covariance(motion)
+        if abs(motion[2]) > QUARTER_TURN and to > row + 1:  # each part turns by less
+            middle = (row + to) // 2
+            first, of_first = self.motion(row, middle, model, odometry_wrong)
+            second, of_second = self.motion(middle, to, model, odometry_wrong)
+            return se2.compose(first, second), covariance_after(of_first, second) + of_second
+        covariance = model.covariance(corrected := model.correct(motion))
+        return corrected, covariance + np.diag(_variances_of_turn(model, motion))
 
     def motions(self, model: OdometryModel) -> ScanMotions:
         """Return the motions from each scan to the next one."""
@@ -130,6 +137,7 @@ class ScanHistory:
         measured = se2.between(odometry[:-1], odometry[1:])
         corrected = model.correct(measured)
         covariances = np.array([model.covariance(motion) for motion in corrected]).reshape(-1, 3, 3)
+        covariances[:, range(3), range(3)] += _variances_of_turn(model, measured)
         return ScanMotions(measured, corrected, covariances, unmeasured)
 
     def correlated_drift(self, row: int, to: int, model: OdometryModel, odometry_wrong: NDArray[np.bool_]) -> Floats:
@@ -200,3 +208,8 @@ def build_scan_history(
             all_own[row], all_relative[row] = all_own[last], se2.compose(all_relative[last], motion)
     jumps = frozenset([*(int(keyframes[k]) for k in kidnapped), *(row for row in starts if row)])
     return ScanHistory(scans, keyframes, all_own, all_relative, all_informations, jumps)
+
+
+def _variances_of_turn(model: OdometryModel, motion: se2.Pose) -> Floats:
+    """Return the variances (..., 3) of measured motions (..., 3) because they may have turned the other way."""
+    return np.asarray(se2.between(model.correct(motion), model.correct_otherwise(motion)) ** 2)

@@ -53,6 +53,18 @@ def test_each_motion_of_odometry_is_corrected() -> None:
     assert np.hypot(*expected[0, :2]) < 0.95 * np.hypot(0.3, 0.1)
 
 
+def test_a_turn_of_more_than_half_a_turn_in_a_gap_is_that_of_the_path() -> None:
+    """Of wheels that measure turns 10 % too large."""
+    model = OdometryModel(Config().odometry)
+    for _ in range(200):
+        model.add_motion(np.array([0.1, 0.0, 0.44]), np.array([0.1, 0.0, 0.4]), 1e8 * np.eye(3))
+    before, after = ProcessedScan(0.5, np.zeros(3), NO_FEATURES), ProcessedScan(9.0, np.zeros(3), NO_FEATURES)
+    after = replace(after, odometry=se2.exp([1.0, 0.0, 1.1 * np.radians(170.0)]))
+    poses = np.array([np.zeros(3), se2.exp([1.0, 0.0, np.radians(170.0)])])
+    drive = drive_of([before, after], segments(0), (np.array([0.5, 9.0]), poses), model, 0.0)
+    assert abs(se2.wrap(drive.odometry[1, 2] - poses[1, 2])) < np.radians(3.0)
+
+
 def test_scans_whose_features_were_dropped_are_named() -> None:
     given = [ProcessedScan(0.5 * k, np.zeros(3), replace(NO_FEATURES)) for k in range(4)]  # each sees nothing
     kept = ScanSequence(given)

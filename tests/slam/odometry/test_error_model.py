@@ -103,6 +103,21 @@ def test_wheels_that_slip_on_straight_drives_do_not_change_the_factor_of_turning
     assert model.deviations[2] == pytest.approx(slip, rel=0.3)
 
 
+@pytest.mark.parametrize("turn", [-230.0, -170.0, -60.0, 100.0, 190.0, 240.0])
+def test_the_turn_that_leads_to_the_expected_heading_is_corrected(turn: float) -> None:
+    """Two poses of odometry tell a turn up to full turns only."""
+    model = OdometryModel(OdometryConfig())
+    model._systematic = SystematicErrors(turning=1.0 / 1.09)
+    true = se2.exp([1.0, 0.2, np.radians(turn)])
+    measured = se2.exp([1.0, 0.2, 1.09 * np.radians(turn)])
+    about = se2.compose(true, [0.1, -0.1, np.radians(8.0)])
+    corrected = model.correct_near(np.array([measured, measured]), np.array([about, about]))
+    np.testing.assert_allclose(se2.between(true, corrected[0])[2], 0.0, atol=1e-9)
+    np.testing.assert_array_equal(corrected, np.array([model.correct_near(measured, about)] * 2))
+    certain = abs(turn) < 90.0 / 1.09
+    assert np.array_equal(model.correct(measured), model.correct_otherwise(measured)) == certain
+
+
 def test_corrected_motions_add_up() -> None:
     """Correct a motion in one piece and in two: arcs of the same curvature."""
     errors = SystematicErrors(0.97, 1.0, 0.0, np.array([-0.1, 0.04, 0.03]), np.zeros(6))

@@ -79,3 +79,15 @@ def test_travel_does_not_depend_on_the_blocks_in_which_it_is_summed(monkeypatch:
     monkeypatch.setattr("slam.odometry.history.BLOCK", 3)
     np.testing.assert_array_equal(circle_history().travelled, whole)
     assert not len(OdometryHistory().travelled)
+
+
+def test_quarter_turns_are_counted_along_the_way_and_from_their_begin() -> None:
+    stamps = np.linspace(0.0, 10.0, 101)
+    turned = np.interp(stamps, [0.0, 2.0, 6.0, 8.0, 10.0], np.radians([0.0, 80.0, -200.0, -200.0, -110.0]))
+    poses = np.column_stack([stamps, np.zeros(101), (turned + np.pi) % (2.0 * np.pi) - np.pi])
+    history = OdometryHistory.from_arrays(stamps, poses)
+    found = history.quarter_turns(0.0, 10.0)
+    np.testing.assert_allclose(np.interp(found[:, 0], stamps, np.degrees(turned)), [-90.0, -180.0], atol=7.0)
+    assert len(history.quarter_turns(2.0, 10.0)) == 3
+    assert len(history.quarter_turns(6.0, 9.0)) == 0
+    assert len(OdometryHistory().quarter_turns(0.0, 1.0)) == 0
