@@ -261,16 +261,22 @@ class LoopAgreement:
         return find_votes(look, chosen, self._search_place)
 
     def _count_votes(self, look: Look, votes: Votes, local_field: LocalField) -> None:
-        """Let a look support or contradict the estimate and all hypotheses, and propose new ones."""
+        """Let a look support or contradict the estimate and all hypotheses, and propose new ones.
+
+        What the look proposes has not been tested by another one. If it fits clearly better than a hypothesis, the
+        look says nothing about that. It contradicts the estimate, as a return would be decided on at once.
+        """
         followed, found = [vote.motion for _, vote in votes.tested], list(votes.found)
         if votes.at_estimate is not None and corrects_estimate(look, votes.at_estimate):
             found.append(votes.at_estimate)
         new = [vote for vote in found if all(differ(look, vote.motion, motion) for motion in followed)]
         others = (votes.at_estimate, *(vote for _, vote in votes.tested))
-        least = least_quality([*new, *(vote for vote in others if vote is not None and fits(vote.match))])
+        known = [vote for vote in others if vote is not None and fits(vote.match)]
+        least = least_quality([*new, *known])
         if votes.at_estimate is not None:
             self._judge_estimate(look, votes.at_estimate, least, local_field)
-        self._hypotheses.count(look, votes.tested, new, least)
+        self._hypotheses.count(look, votes.tested, least, least_quality(known))
+        self._hypotheses.propose(look, [vote for vote in new if vote.match.quality >= least])
         self._hypotheses.merge_equal(look, has_returned=self._returned_at[-1:] == [look.travelled])
 
     def _judge_estimate(self, look: Look, vote: Vote, least: float, local_field: LocalField) -> None:

@@ -42,27 +42,29 @@ class FollowedHypotheses:
         self._followed = [h for h in self._followed if now - h.support[-1].travelled < MEMORY]
 
     def count(
-        self, look: Look, tested: Sequence[tuple[LoopHypothesis, Vote]], new: Sequence[Vote], least: float
+        self, look: Look, tested: Sequence[tuple[LoopHypothesis, Vote]], least: float, least_of_known: float
     ) -> None:
-        """Let a look support or contradict hypotheses, and propose new ones.
+        """Let a look support or contradict hypotheses.
 
-        tested  hypotheses with the votes of the look where they have the robot
-        new     votes for motions that no hypothesis is about
-        least   quality of a match that supports its motion
+        tested          hypotheses with the votes of the look where they have the robot
+        least           quality of a match that supports its hypothesis
+        least_of_known  the same without what the look proposes; a match with less contradicts its hypothesis
         """
         for hypothesis, vote in tested:
-            supports = fits(vote.match) and vote.match.quality >= least
-            if supports and is_determined(vote.match):
+            quality = vote.match.quality if fits(vote.match) else -np.inf
+            if quality >= least and is_determined(vote.match):
                 _support(hypothesis, look, vote)
                 if len(hypothesis.support) == MIN_SUPPORT:
                     look_back(hypothesis, look, MEMORY)
-            elif not supports and vote.match.known >= MIN_KNOWN:
+            elif quality < least_of_known and vote.match.known >= MIN_KNOWN:
                 hypothesis.contradictions.append(look.travelled)
-        for vote in new:
-            if vote.match.quality >= least:
-                hypothesis = LoopHypothesis(vote.motion)
-                _support(hypothesis, look, vote)
-                self._followed.append(hypothesis)
+
+    def propose(self, look: Look, votes: Iterable[Vote]) -> None:
+        """Follow new hypotheses: the motions of some votes of a look, which no hypothesis is about."""
+        for vote in votes:
+            hypothesis = LoopHypothesis(vote.motion)
+            _support(hypothesis, look, vote)
+            self._followed.append(hypothesis)
 
     def merge_equal(self, look: Look, *, has_returned: bool) -> None:
         """Keep one, that with the most support, of the hypotheses that have converged to the same motion.

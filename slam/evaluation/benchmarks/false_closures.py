@@ -23,7 +23,6 @@ from ..metrics import Relations, read_relations, score_relations
 RANDOM_STARTS = 12  # random poses, of which the adversary injects the best match
 MAX_SHIFT, MAX_TURN = 3.0, np.radians(20.0)  # metres, radians: of the random poses from the estimate
 EARLY = 0.9  # share of the searches of the normal run in which false matches are injected: a disturbed run has fewer
-SAME_SHIFT = 0.5  # metres between the motion of a closure and that of a false match that it rests on
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +58,7 @@ class Adversary:
         self._searches_with_injection = at
         self._random = np.random.default_rng(seed)
         self.searches = 0
-        self.injected: list[se2.Pose] = []  # motions of the robot in its own frame
+        self.injected: list[se2.Pose] = []  # motions in the map, as those of hypotheses
 
     def __deepcopy__(self, memo: dict[int, object]) -> Adversary:
         """Return itself, so that the counts include those of all copies of the SLAM state."""
@@ -74,8 +73,7 @@ class Adversary:
         false = self._most_convincing(look, old, true)
         if len(self.injected) % 2:
             false = replace(false, fit=1.0, known=1.0, covariance=np.diag([0.01, 0.01, 0.001]) ** 2)
-        motion = look.motion(old, false.pose)
-        self.injected.append(se2.between(look.pose, se2.compose(motion, look.pose)))
+        self.injected.append(look.motion(old, false.pose))
         return [*true, false]
 
     def _most_convincing(self, look: Look, old: int, true: Sequence[SubmapMatch]) -> SubmapMatch:
@@ -105,9 +103,12 @@ class AcceptedLoops:
         if not isinstance(event, LoopDecided) or event.status != LoopStatus.ACCEPTED:
             return
         self.accepted += 1
+        assert event.correction is not None
+        before = event.correction.keyframes_before[event.index]
+        after = se2.compose(before, event.motion)
         # Not of later false matches: some motion of a long drive is like that of the loop by chance.
-        shifts = [np.hypot(*(event.motion - motion)[:2]) for motion in self._adversary.injected]
-        self.false_accepted += min(shifts, default=np.inf) < SAME_SHIFT
+        false = [se2.compose(motion, before) for motion in self._adversary.injected]
+        self.false_accepted += not all(are_distinct(after, pose) for pose in false)
 
 
 def run_with_false_matches(

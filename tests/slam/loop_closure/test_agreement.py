@@ -305,10 +305,10 @@ def matches_along_a_hall(state: StubMap, shifts: list[float]) -> tuple[Look, lis
     return Look(state, local_field, Submaps()), matches  # type: ignore[arg-type]
 
 
-def vote_for(motion: se2.Pose) -> Vote:
+def vote_for(motion: se2.Pose, fit: float = 0.97) -> Vote:
     """Return a good vote for a motion in the map; the old place is at the origin."""
     pose = se2.compose(motion, np.array([59.5, 0.0, 0.0]))
-    return Vote(0, SubmapMatch(pose, np.diag([0.05, 0.05, 0.01]) ** 2, fit=0.97, known=0.9), motion)
+    return Vote(0, SubmapMatch(pose, np.diag([0.05, 0.05, 0.01]) ** 2, fit=fit, known=0.9), motion)
 
 
 def test_match_that_leaves_the_estimate_supports_the_hypothesis_of_the_place_that_it_reaches() -> None:
@@ -321,6 +321,22 @@ def test_match_that_leaves_the_estimate_supports_the_hypothesis_of_the_place_tha
     (followed,) = agreement.state.hypotheses
     assert [match.travelled for match in followed.support] == [*(match.travelled for match in matches), look.travelled]
     assert agreement.state.contradictions == (look.travelled,)
+
+
+@pytest.mark.parametrize("tested", [False, True])
+def test_better_match_elsewhere_contradicts_a_hypothesis_only_if_another_look_has_proposed_it(*, tested: bool) -> None:
+    look, matches = matches_along_a_hall(StubMap(np.diag([1.0, 1.0, 0.1]) ** 2), [0.0] * 5)
+    agreement, motion, elsewhere = LoopAgreement(), np.array([0.6, 0.2, 0.0]), np.array([1.8, 0.0, 0.0])
+    followed = [LoopHypothesis(motion, list(matches)), *([LoopHypothesis(elsewhere, matches[:1])] if tested else [])]
+    agreement.restore(LoopAgreementState(hypotheses=followed), LocalField())
+    votes = [vote_for(motion, fit=0.8), vote_for(elsewhere, fit=1.0)]
+    counted = list(zip(agreement._hypotheses, votes, strict=False))
+    agreement._count_votes(look, Votes(None, counted, votes[len(counted) :]), LocalField())
+    hypothesis, rival = agreement.state.hypotheses
+    assert len(hypothesis.support) == len(matches)
+    assert hypothesis.contradictions == ([look.travelled] if tested else [])
+    assert rival.support[-1].keyframe == look.last
+    assert agreement._accepted(look) is None
 
 
 @pytest.mark.parametrize(("contradicted", "accepted"), [([], False), ([40.0, 46.0, 52.0, 58.0], True)])

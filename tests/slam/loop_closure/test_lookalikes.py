@@ -29,7 +29,7 @@ from slam.evaluation.benchmarks.lookalike import (
 )
 from slam.evaluation.benchmarks.loop_scoring import ScoredDecision
 from slam.evaluation.rates import upper_limit
-from slam.events import LoopDecided
+from slam.events import Correction, LoopDecided
 from slam.geometry.segments import Segments
 from slam.localisation.local_field import LocalField
 from slam.loop_closure import agreement
@@ -38,6 +38,7 @@ from slam.loop_closure.look import Look
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.submap_search import Submap, SubmapMatch, are_distinct, build_submap, improve
 from slam.loop_closure.votes import Search, Vote, find_votes
+from slam.mapping.map_features import MapWalls
 from slam.mapping.mapper import Mapper
 from slam.matching.point_matcher import POINT_SPACING, SEARCH_FIT
 from slam.matching.scan_points import surface_points
@@ -263,15 +264,25 @@ def test_adversary_adds_wrong_matches_and_forges_every_other_score() -> None:
 
 
 def test_a_loop_rests_on_false_matches_that_were_injected_before() -> None:
-    adversary, motion = Adversary(), np.array([1.0, 2.0, 0.1])
+    """A false match is the motion in the map that it implies, whichever way the robot faces at the closure."""
+    adversary, before = Adversary(), np.array([[0.0, 0.0, 0.0], [20.0, 5.0, 2.0]])
+    motion = np.array([1.0, 2.0, 0.1])  # in the map
+    of_robot = se2.between(before[1], se2.compose(motion, before[1]))
+    none = np.zeros(0)
+    walls = MapWalls(np.zeros(0, int), np.zeros((0, 3)), none, none, np.zeros(0, int), np.zeros((0, 2, 2)), ())
+    correction = Correction(before, before, walls, 0.0, 0.0, 0.0)
     loops = false_closures.AcceptedLoops(adversary)
-    accepted = LoopDecided(9, 9.0, 1, 0, motion, LoopStatus.ACCEPTED, "", 0.9, 4, 0.0, 0.1, 0.0, (), 2.0)
+    accepted = LoopDecided(
+        1, 9.0, 1, 0, of_robot, LoopStatus.ACCEPTED, "", 0.9, 4, 0.0, 0.1, 0.0, (), 2.0, correction=correction
+    )
     loops.handle(accepted)
-    adversary.injected += [motion + np.array([3.0, 0.0, 0.0]), motion + np.array([0.1, 0.1, 0.0])]
-    assert (loops.accepted, loops.false_accepted) == (1, 0)
+    adversary.injected += [of_robot, motion + np.array([3.0, 0.0, 0.0])]
+    loops.handle(accepted)
+    assert (loops.accepted, loops.false_accepted) == (2, 0)
+    adversary.injected.append(motion + np.array([0.1, 0.1, 0.0]))
     loops.handle(replace(accepted, status=LoopStatus.REJECTED))
     loops.handle(accepted)
-    assert (loops.accepted, loops.false_accepted) == (2, 1)
+    assert (loops.accepted, loops.false_accepted) == (3, 1)
 
 
 @pytest.mark.slow
