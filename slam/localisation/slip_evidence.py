@@ -66,6 +66,11 @@ class SlipEvidence:
         return self.match.points.prediction.squared_distance(self.match.points.pose) > MAX_SLIP**2
 
     @property
+    def needs_impossible_motion(self) -> bool:
+        """True if only an even motion leads to the pose, and not even that: no robot moves so far in this time."""
+        return self.seems_slipped and self.is_beyond_any_motion
+
+    @property
     def is_ambiguous(self) -> bool:
         """True if the scan fits about as well at another place."""
         most = self.match.points.cost + AMBIGUITY

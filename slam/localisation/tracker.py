@@ -28,6 +28,7 @@ from ..geometry.surroundings import MIN_WALL_LENGTH
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, information_of
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
+from ..odometry.history import wheel_travel
 from ..odometry.velocity import VelocityFilter
 from .followed_motion import Compare
 from .match_target import MatchTarget, ScanMatch
@@ -37,7 +38,7 @@ from .predictions import Predictions, TentativePose
 from .slip_evidence import SlipEvidence
 from .small_objects import SmallObjects, lasting_points
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
-from .view_change import MIN_POINTS, View, ViewComparison
+from .view_change import MAX_TRAVEL, MIN_POINTS, View, ViewComparison
 
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
 # well, the robot was kidnapped. Origin: chosen; no measurement recorded.
@@ -54,18 +55,19 @@ class Tracker:
     def __init__(self, model: OdometryModel) -> None:
         self._predictor = PosePredictor(model)
         self._untracked_in_a_row = 0
+        self._carried = False  # since the fix, although the wheels stood
         self._last_score = 0.0  # of the last tracked scan
         self._views, self._small_objects = ViewComparison(), SmallObjects()
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
         self._predictor.move_to(pose, odometry)
-        self._untracked_in_a_row = 0
+        self._untracked_in_a_row, self._carried = 0, False
 
     def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix in a part of the map that shows nothing yet."""
         self._predictor.start_again(pose, odometry)
-        self._untracked_in_a_row, self._last_score = 0, 0.0
+        self._untracked_in_a_row, self._carried, self._last_score = 0, False, 0.0
 
     def replace_model(self, model: OdometryModel) -> None:
         """Use another error model of odometry from now on."""
@@ -128,16 +130,20 @@ class Tracker:
     def may_have_been_carried(self) -> bool:
         """True if something suggests that the robot was carried while its wheels stood: the view, or a gap.
 
-        The view has changed abruptly within the last metres, or in a gap before the scans that are not tracked, so many
-        are missing that the robot would be lost if these had fitted nowhere.
+        A scan fits where no motion leads, the view has changed abruptly within the last metres, or in a gap before the
+        scans that are not tracked, so many are missing that the robot would be lost if these had fitted nowhere.
         """
-        return self._views.changed or self._predictor.stood_in_gap(self._untracked_in_a_row, MAX_UNTRACKED_SCANS)
+        stood_in_gap = self._predictor.stood_in_gap(self._untracked_in_a_row, MAX_UNTRACKED_SCANS)
+        return self._carried or self._views.changed or stood_in_gap
 
     def track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
         """Estimate the base's pose at a scan taken when odometry was at `odometry`.
 
         The robot counts as carried if a scan fits worse than the one before and shows another view, or if it fits
-        poorly and against odometry and the view has changed recently: it fits here by chance then.
+        poorly and against odometry and the view has changed recently: it fits here by chance then. It was carried, too,
+        if its wheels stood and a scan fits well where no motion leads, or shows another view and fits nowhere within
+        reach. More poses are within reach of the next scans, although the robot stands by then: one of them may fit by
+        chance, so only the one that odometry predicts counts.
         """
         predictions = self._predictor.predict(stamp, odometry)
         points = self._small_objects.weighted_points(scan)
@@ -146,12 +152,20 @@ class Tracker:
         evidence = SlipEvidence(alone or match, predictions)
         match = evidence.match
         status, slipped = self._judge(evidence, scan, target)
+        if self._carried and status is not TrackingStatus.NO_FEATURES and not evidence.odometry_holds:
+            status, slipped = TrackingStatus.FAILED, False
         tracked = status is TrackingStatus.TRACKED
         untracked = status in (TrackingStatus.FAILED, TrackingStatus.TENTATIVE)
         suspicious = untracked or (tracked and match.score < self._last_score - SUSPICIOUS_DROP)
+        failed = status is TrackingStatus.FAILED
         differs = self._views.add(
-            View(odometry, scan.points.xy), self._predictor.model, suspicious=suspicious and self.measured
+            View(odometry, scan.points.xy),
+            self._predictor.model,
+            suspicious=suspicious and self.measured,
+            fits_nowhere=failed,
         )
+        fits_beyond_reach = failed and evidence.needs_impossible_motion and not match.poor and self._stood(odometry)
+        self._carried = self._carried or (failed and differs) or fits_beyond_reach
         fits_by_chance = tracked and (differs or (slipped and match.poor and self._views.changed))
         if fits_by_chance:
             status, slipped = TrackingStatus.FAILED, False
@@ -196,7 +210,7 @@ class Tracker:
     ) -> None:
         """Keep what the predictions of the next scans need of a match; for the last two see `PosePredictor.update`."""
         if result.status is TrackingStatus.TRACKED:
-            self._last_score, self._untracked_in_a_row = evidence.match.score, 0
+            self._last_score, self._untracked_in_a_row, self._carried = evidence.match.score, 0, False
             if self.measured:
                 self._predictor.learn(evidence.predictions.usual, evidence.match.points)
         elif result.status is not TrackingStatus.NO_FEATURES:
@@ -212,6 +226,11 @@ class Tracker:
     def measured(self) -> bool:
         """True if odometry measures the motion: there is odometry, and it is not failing."""
         return self._predictor.measured
+
+    def _stood(self, odometry: se2.Pose) -> bool:
+        """Return True if the wheels hardly moved since the last fix."""
+        fix = self.fix
+        return fix is not None and self.measured and bool(wheel_travel(fix.odometry_motion(odometry)) <= MAX_TRAVEL)
 
     def _match_to_last_metres(
         self,
@@ -242,7 +261,7 @@ class Tracker:
         match, confirms_slip, seems_slipped = evidence.match, evidence.confirms_slip, evidence.seems_slipped
         if _too_few_features(scan) and len(target.landmarks.walls):
             return TrackingStatus.NO_FEATURES, False
-        if not match.plausible or (seems_slipped and evidence.is_beyond_any_motion):
+        if not match.plausible or evidence.needs_impossible_motion:
             return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
         # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.

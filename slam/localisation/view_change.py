@@ -97,10 +97,14 @@ class View:
 
 
 class ViewComparison:
-    """Comparison of the view of each suspicious scan with the last one; recent changes are kept."""
+    """Comparison of the view of each suspicious scan with the last ones; recent changes are kept.
+
+    A robot may be lifted during a sweep. That scan then shows both places, and agrees with the scans before and after.
+    So a scan that fits nowhere is also compared with the view before the last one.
+    """
 
     def __init__(self) -> None:
-        self._view: View | None = None  # last view with enough points for a comparison
+        self._views: list[View] = []  # the last two with enough points for a comparison, the last one first
         self._odometry: se2.Pose | None = None  # at the last scan
         self._travel_since_change = np.inf  # metres
 
@@ -109,29 +113,32 @@ class ViewComparison:
         """True if the view has changed abruptly within the last metres."""
         return bool(self._travel_since_change < VIEW_CHANGE_MEMORY)
 
-    def add(self, view: View, model: OdometryModel, *, suspicious: bool) -> bool:
+    def add(self, view: View, model: OdometryModel, *, suspicious: bool, fits_nowhere: bool) -> bool:
         """Add the view of a scan. Return True if the scan is suspicious and shows another place than the last one.
 
         No scan is suspicious if odometry does not measure the motion: the robot may have driven in between.
+
+        fits_nowhere  True if a suspicious scan fits at no pose that the robot can have reached
         """
         if self._odometry is not None:
             self._travel_since_change += float(wheel_travel(se2.between(self._odometry, view.odometry)))
-        differs = suspicious and self._differs(view, model)
+        differs = suspicious and self._differs(view, model, 2 if fits_nowhere else 1)
         if differs:
             self._travel_since_change = 0.0
         self._odometry = view.odometry
         if view.comparable:
-            self._view = view
+            self._views = [view, *self._views[:1]]
         return differs
 
-    def _differs(self, view: View, model: OdometryModel) -> bool:
-        """Return True if a view shows another place than the last one, or if it is the first one.
+    def _differs(self, view: View, model: OdometryModel, count: int) -> bool:
+        """Return True if a view shows another place than one of the last `count`, or if it is the first one.
 
         False without enough points for a comparison.
         """
-        if self._view is None:
+        if not self._views:
             return self._odometry is None
-        return self._view.differs_from(view, model.correct(se2.between(self._view.odometry, view.odometry)))
+        motions = [model.correct(se2.between(other.odometry, view.odometry)) for other in self._views[:count]]
+        return any(other.differs_from(view, motion) for other, motion in zip(self._views, motions, strict=False))
 
 
 @compiled

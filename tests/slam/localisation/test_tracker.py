@@ -270,6 +270,38 @@ def test_a_robot_whose_wheels_stood_in_a_long_gap_is_found_if_the_scans_fit() ->
     assert not tracker.lost
 
 
+@pytest.mark.parametrize(("moved", "carried"), [((0.0, 0.05, 0.4), True), ((0.0, 0.0, 0.0), False)])
+def test_a_robot_that_stands_where_no_motion_leads_was_carried(
+    moved: tuple[float, float, float], carried: bool
+) -> None:
+    """Its scans fit well and agree with each other, but a place out of reach may be anywhere and look alike."""
+    tracker = Tracker(OdometryModel(OdometryConfig()))
+    target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
+    stood = np.array([1.5, 1.5, 0.0])
+    tracker.move_to(stood, stood)
+    for k in range(30):
+        tracker.track(0.1 * k, stood, seen_from(stood), target)
+    for k in range(30, 34):
+        result = tracker.track(0.1 * k, stood, seen_from(se2.compose(stood, np.array(moved))), target)
+        assert not result.poor
+    assert tracker.lost is tracker.may_have_been_carried is carried
+
+
+def test_a_scan_out_of_reach_is_forgotten_if_the_next_one_fits() -> None:
+    """Afterwards the robot may be pushed as before."""
+    tracker = Tracker(OdometryModel(OdometryConfig()))
+    target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
+    stood = np.array([1.5, 1.5, 0.0])
+    motions = [*30 * [(0.0, 0.0, 0.0)], (0.0, 0.05, 0.4), (0.0, 0.0, 0.0), (0.12, 0.0, 0.0)]
+    tracker.move_to(stood, stood)
+    results = [
+        tracker.track(0.1 * k, stood, seen_from(se2.compose(stood, np.array(motion))), target)
+        for k, motion in enumerate(motions)
+    ]
+    expected = [TrackingStatus.FAILED, TrackingStatus.TRACKED, TrackingStatus.TRACKED]
+    assert [result.status for result in results[-3:]] == expected
+
+
 @pytest.mark.parametrize("slips", [False, True])
 def test_only_a_slip_that_the_last_metres_show_is_believed(slips: bool) -> None:
     """The field shows the room also as an earlier pass has mapped it, half a metre aside: a loop has to be closed."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from slam.config import OdometryConfig
 from slam.geometry.segments import Floats
-from slam.localisation.view_change import View
+from slam.localisation.view_change import View, ViewComparison
+from slam.odometry.error_model import OdometryModel
 
 from ..outlines import outline, visible
 
@@ -63,3 +65,14 @@ def test_the_beams_may_be_far_apart(spacing: int) -> None:
     other = View(ORIGIN, seen_from([0.0, 0.0, 0.0], OTHER).points[::spacing])
     assert not before.differs_from(same, np.array([0.03, 0.0, 0.0]))
     assert before.differs_from(other, ORIGIN)
+
+
+@pytest.mark.parametrize("fits_nowhere", [False, True])
+def test_a_sweep_in_which_the_robot_is_lifted_does_not_hide_the_change(fits_nowhere: bool) -> None:
+    """It shows one room at first and then the other one, and agrees with both."""
+    model, comparison = OdometryModel(OdometryConfig()), ViewComparison()
+    before, after = seen_from([0.0, 0.0, 0.0]), seen_from([0.0, 0.0, 0.0], OTHER)
+    halves = np.concatenate([before.points[before.points[:, 1] < 0.0], after.points[after.points[:, 1] >= 0.0]])
+    for view in (before, View(ORIGIN, halves)):
+        assert not comparison.add(view, model, suspicious=False, fits_nowhere=False)
+    assert comparison.add(after, model, suspicious=True, fits_nowhere=fits_nowhere) is fits_nowhere
