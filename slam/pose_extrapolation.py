@@ -21,6 +21,7 @@ from .geometry.pose_covariance import covariance_after
 from .geometry.segments import Floats
 from .localisation.state import LocalisationStatus
 from .odometry.error_model import OdometryModel
+from .odometry.history import QUARTER_TURN
 from .odometry.velocity import STEADY_SECONDS, VelocityFilter
 
 # Odometry readings that are kept until a scan measured at their time was processed. Origin: chosen, half a minute of a
@@ -108,6 +109,7 @@ class PoseExtrapolator:
         self._status = LocalisationStatus.OK
         self._keyframe: KeyframeAdded | None = None
         self._fix: _Fix | None = None  # replaced as a whole, for the other threads
+        self._passed: tuple[_Fix, _Fix] | None = None  # a fix, and where odometry has led to since then; see `at`
 
     def handle(self, event: Event) -> None:
         """Process one event."""
@@ -125,15 +127,23 @@ class PoseExtrapolator:
                 self._status = LocalisationStatus(event.state)
 
     def at(self, reading: Odometry) -> ExtrapolatedPose | None:
-        """Return the pose at an odometry reading, the next one; None before the first scan."""
+        """Return the pose at an odometry reading, the next one; None before the first scan.
+
+        Without scans, a motion that turns by more than a quarter goes on from where it has led to: its systematic
+        errors depend on the turn, which two poses of odometry tell up to full turns only.
+        """
         with self._lock:
             self._readings.append(reading)
         fix = self._fix
         if fix is None:
             return None
-        motion, own = fix.motion_until(reading)
-        covariance = covariance_after(fix.covariance, motion) + own
-        return ExtrapolatedPose(reading.stamp, se2.compose(fix.pose, motion), covariance, reading.pose, self._status)
+        passed = self._passed
+        start = fix if passed is None or passed[0] is not fix else passed[1]
+        motion, own = start.motion_until(reading)
+        pose, covariance = se2.compose(start.pose, motion), covariance_after(start.covariance, motion) + own
+        if fix.velocity is None and abs(se2.between(start.odometry, reading.pose)[2]) > QUARTER_TURN:
+            self._passed = fix, replace(start, pose=pose, odometry=reading.pose, covariance=covariance)
+        return ExtrapolatedPose(reading.stamp, pose, covariance, reading.pose, self._status)
 
     def at_scan(self, stamp: float) -> ExtrapolatedPose | None:
         """Return the pose of the last scan, of this stamp; None before the first one."""
