@@ -15,7 +15,7 @@ from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction, information_of
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import wheel_travel
+from ..odometry.history import QUARTER_TURN, wheel_travel
 from ..odometry.measurement_clock import MIN_PERIOD, MeasurementClock
 from ..odometry.velocity import MAX_VELOCITIES, STEADY_SECONDS, VelocityFilter
 from .followed_motion import Compare, FollowedMotion
@@ -166,6 +166,13 @@ class PosePredictor:
         )
         self._comparison.restart()
 
+    def _follow_large_turns(self) -> None:
+        """Let odometry predict from the last scan if the robot has turned by more than a quarter up to there."""
+        if self._reference is None or self._last_odometry is None:
+            return
+        if abs(self._reference.odometry_motion(self._last_odometry)[2]) > QUARTER_TURN:
+            self.follow(self._last_odometry)
+
     def _moved(self, fix: PoseFix, odometry: se2.Pose) -> PoseFix:
         """Return an earlier pose moved as odometry says."""
         motion = self.model.correct(fix.odometry_motion(odometry))
@@ -176,6 +183,7 @@ class PosePredictor:
         """Return the predictions of the pose at a scan with this stamp and odometry."""
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
+        self._follow_large_turns()
         self._last_odometry = odometry
         self._interval = interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval

@@ -1,4 +1,4 @@
-"""Scans are missing while the robot turns by more than half a turn, by odometry with a wrong distance of the wheels."""
+"""Nothing is seen while the robot turns by more than half a turn, by odometry with a wrong distance of the wheels."""
 
 from __future__ import annotations
 
@@ -20,8 +20,11 @@ GAPS = (25.5, 36.0), (59.5, 69.5)  # in which it turns by 179 degrees: on its fi
 TURNING = 1.09  # factor by which odometry measures turns too large
 
 
-def drive(begin: float, end: float) -> Iterator[Message]:
-    """Yield the messages of a drive around a room that looks the same after half a turn."""
+def drive(begin: float, end: float, *, covered: bool) -> Iterator[Message]:
+    """Yield the messages of a drive around a room that looks the same after half a turn.
+
+    From `begin` to `end` scans are missing, or the lidar is `covered`.
+    """
     before, pose = np.zeros(3), np.zeros(3)
     for message in drivers.open(f"sim:room?duration={DURATION:.0f}"):
         if isinstance(message, Odometry):
@@ -30,13 +33,18 @@ def drive(begin: float, end: float) -> Iterator[Message]:
             yield replace(message, pose=pose)
         elif not (isinstance(message, Scan) and begin < message.stamp < end):
             yield message
+        elif covered:
+            yield replace(message, ranges=np.full(len(message.ranges), np.nan))
 
 
-@pytest.mark.parametrize(("gap", "refine"), [(GAPS[0], False), (GAPS[0], True), (GAPS[1], False)])
-def test_the_robot_turns_by_more_than_half_a_turn_in_a_gap(gap: tuple[float, float], *, refine: bool) -> None:
+@pytest.mark.parametrize(
+    ("gap", "covered", "refine"),
+    [(GAPS[0], False, False), (GAPS[0], False, True), (GAPS[1], False, False), (GAPS[1], True, False)],
+)
+def test_the_robot_turns_by_more_than_half_a_turn(gap: tuple[float, float], *, covered: bool, refine: bool) -> None:
     listener, truth = EventRecorder(), []
     slam = Slam(sinks=[listener], refine=refine)
-    for message in drive(*gap):
+    for message in drive(*gap, covered=covered):
         if isinstance(message, GroundTruth):
             truth.append([message.stamp, *message.pose])
         slam.add(message)
