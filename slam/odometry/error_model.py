@@ -148,24 +148,28 @@ class OdometryModel:
     def correct_near(self, motion: se2.Pose, expected: se2.Pose) -> se2.Pose:
         """Return measured motions (..., 3) without their systematic errors, which depend on the turn.
 
-        If the turn is not certain, see `correct_otherwise`, it is the one that leads closer to the heading of an
+        If the turn is not certain, see `correct_otherwise`, it is the one that leads closest to the heading of an
         `expected` motion (..., 3), as of the scans.
         """
-        corrected, other = self.correct(motion), self.correct_otherwise(motion)
-        error, of_other = (np.abs(se2.wrap(one[..., 2] - expected[..., 2])) for one in (corrected, other))
-        return np.where((of_other < error)[..., None], other, corrected)
+        best = self.correct(motion)
+        for turns in (-1.0, 1.0):
+            other = self.correct_otherwise(motion, turns)
+            error, of_best = (np.abs(se2.wrap(one[..., 2] - expected[..., 2])) for one in (other, best))
+            best = np.where((error < of_best)[..., None], other, best)
+        return best
 
-    def correct_otherwise(self, motion: se2.Pose) -> se2.Pose:
-        """Return measured motions (..., 3) without their systematic errors if they turned the other way.
+    def correct_otherwise(self, motion: se2.Pose, turns: float = -1.0) -> se2.Pose:
+        """Return measured motions (..., 3) without their systematic errors if they turned by more full `turns`.
 
-        Two poses of odometry tell a turn up to full turns only. Turns of up to QUARTER_TURN are certain.
+        Two poses of odometry tell a turn up to full turns only; with -1, it is the one the other way round. Turns of up
+        to QUARTER_TURN are certain.
         """
         uncertain = np.abs(motion[..., 2]) > QUARTER_TURN
         if not np.any(uncertain):
             return self.correct(motion)
         full_turn = np.zeros(motion.shape)
-        full_turn[..., 2] = np.where(uncertain, np.copysign(2.0 * np.pi, motion[..., 2]), 0.0)
-        return self.correct(motion - full_turn)
+        full_turn[..., 2] = np.where(uncertain, 2.0 * np.pi * turns * np.sign(motion[..., 2]), 0.0)
+        return self.correct(motion + full_turn)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
