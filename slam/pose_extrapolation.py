@@ -129,8 +129,8 @@ class PoseExtrapolator:
     def at(self, reading: Odometry) -> ExtrapolatedPose | None:
         """Return the pose at an odometry reading, the next one; None before the first scan.
 
-        Without scans, a motion that turns by more than a quarter goes on from where it has led to: its systematic
-        errors depend on the turn, which two poses of odometry tell up to full turns only.
+        While no scan is processed, the motion is divided after each quarter turn: its systematic errors depend on the
+        turn, which two poses of odometry tell up to full turns only.
         """
         with self._lock:
             self._readings.append(reading)

@@ -105,5 +105,5 @@ def learn_motion(state: SlamState, odometry: se2.Pose, tracking: TrackingResult)
     information = tracking.registration.total_information
     if start.covariance.any():
         information = inverse(inverse(information + CONDITIONING) + covariance_after(start.covariance, by_scan))
-    if abs(measured[2]) <= QUARTER_TURN:
+    if abs(measured[2]) <= QUARTER_TURN:  # a larger turn is not certain
         state.odometry_model.add_motion(measured, by_scan, information)

@@ -64,7 +64,7 @@ class KeyframeUpdate:
 def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingResult:
     """Estimate the pose of a scan and store it in the state."""
     for odometry in scan.turns:
-        state.tracker.follow(odometry)
+        state.tracker.advance(odometry)
     _follow_prediction(state, scan)
     has_mapped_here = not (state.frozen or state.kidnapped or state.at_part_begin) and state.anchor is not None
     recent = partial(state.local_field.recent, state.mapper.keyframe_poses, state.mapper.travelled)

@@ -41,7 +41,7 @@ class PosePredictor:
         self.model = model
         self._fix: PoseFix | None = None
         self._reference: PoseFix | None = None  # from which odometry predicts
-        self._followed_to: PoseFix | None = None  # the fix, or where odometry has led to since then, see `follow`
+        self._dead_reckoned: PoseFix | None = None  # the last fix, moved by odometry; see `advance`
         self._tentative: TentativePose | None = None  # of the last scan
         self._before_slip: PoseFix | None = None  # reference before the last slip
         self._since_slip = 0.0  # seconds
@@ -90,7 +90,7 @@ class PosePredictor:
 
     def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
         """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
-        self._fix = self._reference = self._followed_to = PoseFix(pose, odometry)
+        self._fix = self._reference = self._dead_reckoned = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
         self._tentative = self._before_slip = self._odometry_after_gap = self._followed = None
         self._comparison.restart()
@@ -126,7 +126,7 @@ class PosePredictor:
         self._comparison.follow(se2.between(self._fix.pose, pose), self._fix)
         self._followed = None if self._followed is None else self._followed.moved(self._fix.pose, pose)
         covariance = np.zeros((3, 3)) if covariance is None else covariance
-        self._fix = self._reference = self._followed_to = PoseFix(pose, self._fix.odometry, covariance)
+        self._fix = self._reference = self._dead_reckoned = PoseFix(pose, self._fix.odometry, covariance)
 
     def state(self, small_objects: SmallObjects, last_score: float) -> TrackerState | None:
         """Return the state to be saved, with that of the tracker itself; None before the first scan."""
@@ -141,7 +141,7 @@ class PosePredictor:
 
     def restore(self, state: TrackerState) -> None:
         """Continue from a saved state."""
-        self._fix, self._reference, self._followed_to = state.fix, state.reference, state.fix
+        self._fix, self._reference, self._dead_reckoned = state.fix, state.reference, state.fix
         self._since_fix, self._clock = state.since_fix, MeasurementClock(state.scan_stamp, state.intervals)
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
         self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
@@ -150,28 +150,28 @@ class PosePredictor:
 
     def extrapolate(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
-        if self._followed_to is None:
+        if self._dead_reckoned is None:
             return np.zeros(3)
-        return se2.compose(self._followed_to.pose, self.model.correct(self._followed_to.odometry_motion(odometry)))
+        return se2.compose(self._dead_reckoned.pose, self.model.correct(self._dead_reckoned.odometry_motion(odometry)))
 
-    def follow(self, odometry: se2.Pose) -> None:
-        """Let odometry predict from the pose that it leads to, with its uncertainty, and not from earlier ones.
+    def advance(self, odometry: se2.Pose) -> None:
+        """Move the poses from which odometry predicts to where it leads at a reading, with their uncertainty.
 
         The systematic errors of a motion depend on its turn, which two poses of odometry tell up to full turns only.
         """
-        if self._reference is None or self._followed_to is None or not self.measured:
+        if self._reference is None or self._dead_reckoned is None or not self.measured:
             return
-        self._reference, self._followed_to = (
-            self._moved(fix, odometry) for fix in (self._reference, self._followed_to)
+        self._reference, self._dead_reckoned = (
+            self._moved(fix, odometry) for fix in (self._reference, self._dead_reckoned)
         )
         self._comparison.restart()
 
-    def _follow_large_turns(self) -> None:
-        """Let odometry predict from the last scan if the robot has turned by more than a quarter up to there."""
+    def _advance_after_large_turn(self) -> None:
+        """Move these poses to the last scan if the robot has turned by more than a quarter up to there."""
         if self._reference is None or self._last_odometry is None:
             return
         if abs(self._reference.odometry_motion(self._last_odometry)[2]) > QUARTER_TURN:
-            self.follow(self._last_odometry)
+            self.advance(self._last_odometry)
 
     def _moved(self, fix: PoseFix, odometry: se2.Pose) -> PoseFix:
         """Return an earlier pose moved as odometry says."""
@@ -183,7 +183,7 @@ class PosePredictor:
         """Return the predictions of the pose at a scan with this stamp and odometry."""
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
-        self._follow_large_turns()
+        self._advance_after_large_turn()
         self._last_odometry = odometry
         self._interval = interval = self._clock.interval(stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
@@ -260,7 +260,7 @@ class PosePredictor:
             if before is not None and before.followed is not None:
                 self._comparison.add_slip(before.followed.duration)
         self._slips.add(slipped=result.slipped)
-        self._fix = self._followed_to = fix
+        self._fix = self._dead_reckoned = fix
         self._since_fix, self._odometry_after_gap = 0.0, None
         self._followed = self._following(compare) if self.measured and not result.slipped else None
 

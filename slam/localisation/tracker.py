@@ -99,9 +99,9 @@ class Tracker:
         """Replace the pose of the last fix, and predict from it from now on; for the covariance see `PoseFix`."""
         self._predictor.correct(pose, covariance)
 
-    def follow(self, odometry: se2.Pose) -> None:
-        """Predict from where odometry leads to now: a motion that turns by more than half a turn is not known else."""
-        self._predictor.follow(odometry)
+    def advance(self, odometry: se2.Pose) -> None:
+        """Let odometry predict from one of its poses on, so that no predicted motion turns by more than half a turn."""
+        self._predictor.advance(odometry)
 
     def predict(self, odometry: se2.Pose) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""

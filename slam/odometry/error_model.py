@@ -148,28 +148,28 @@ class OdometryModel:
     def correct_near(self, motion: se2.Pose, expected: se2.Pose) -> se2.Pose:
         """Return measured motions (..., 3) without their systematic errors, which depend on the turn.
 
-        If the turn is not certain, see `correct_otherwise`, it is the one that leads closest to the heading of an
-        `expected` motion (..., 3), as of the scans.
+        Where the turn is not certain, see `correct_otherwise`, it is the one that leads closest to the heading of an
+        `expected` motion (..., 3), such as that of the scans.
         """
         best = self.correct(motion)
-        for turns in (-1.0, 1.0):
-            other = self.correct_otherwise(motion, turns)
+        if not np.any(np.abs(motion[..., 2]) > QUARTER_TURN):
+            return best
+        for full_turns in (-1, 1):
+            other = self.correct_otherwise(motion, full_turns)
             error, of_best = (np.abs(se2.wrap(one[..., 2] - expected[..., 2])) for one in (other, best))
             best = np.where((error < of_best)[..., None], other, best)
         return best
 
-    def correct_otherwise(self, motion: se2.Pose, turns: float = -1.0) -> se2.Pose:
-        """Return measured motions (..., 3) without their systematic errors if they turned by more full `turns`.
+    def correct_otherwise(self, motion: se2.Pose, full_turns: int) -> se2.Pose:
+        """Return measured motions (..., 3) without their systematic errors if they turned by some full turns more.
 
-        Two poses of odometry tell a turn up to full turns only; with -1, it is the one the other way round. Turns of up
-        to QUARTER_TURN are certain.
+        Two poses of odometry tell a turn up to full turns only; with -1 it is the turn in the other direction. Turns of
+        up to QUARTER_TURN are certain, and corrected as they are.
         """
-        uncertain = np.abs(motion[..., 2]) > QUARTER_TURN
-        if not np.any(uncertain):
-            return self.correct(motion)
-        full_turn = np.zeros(motion.shape)
-        full_turn[..., 2] = np.where(uncertain, 2.0 * np.pi * turns * np.sign(motion[..., 2]), 0.0)
-        return self.correct(motion + full_turn)
+        more = np.zeros(motion.shape)
+        turn = motion[..., 2]
+        more[..., 2] = np.where(np.abs(turn) > QUARTER_TURN, 2.0 * np.pi * full_turns * np.sign(turn), 0.0)
+        return self.correct(motion + more)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""

@@ -19,8 +19,8 @@ from .measurement_clock import USUAL_PERIOD
 # Seconds before the first reading for which the robot is taken to have moved evenly: before, it is taken to have stood.
 # Origin: chosen, a little longer than an Arduino boots when its port is opened.
 MAX_EXTENSION = 2.0
-# Radians between two poses of odometry up to which the turn between them is certain: beyond half a turn it may as well
-# be one the other way. Origin: definition, half of that.
+# Radians: a turn between two poses of odometry is certain up to this. One of more than half a turn seems to be smaller
+# and in the other direction. Origin: definition, half of that.
 QUARTER_TURN = 0.5 * math.pi
 # Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
 # Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
@@ -130,8 +130,8 @@ class OdometryHistory:
     def quarter_turns(self, begin: float, end: float) -> Floats:
         """Return (n, 3) the poses between two stamps at which odometry has turned by a quarter since the one before.
 
-        The first quarter begins at `begin` (seconds). Two poses tell the turn between them up to full turns only, so
-        that a motion which may turn by more than half a turn is known by the poses on its way.
+        The first quarter begins at the first reading from `begin` (seconds) on. Two poses tell the turn between them up
+        to full turns only; these poses tell it all.
         """
         _, poses = self.readings_between(begin, end)
         headings, rows = np.unwrap(poses[:-1, 2]).tolist(), list[int]()

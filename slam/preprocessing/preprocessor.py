@@ -25,7 +25,8 @@ from .deskew import sweep_middle
 from .lidar_features import LidarFeatures, joined
 from .scan_queue import ScanPair, ScanQueue
 
-# Seconds between two scans up to which the base cannot turn by a quarter. Origin: definition.
+# Seconds between two scans up to which their odometry tells the turn in between: at twice the standard deviation of its
+# velocity, the base turns by half a turn in this time. Origin: definition.
 TURN_SECONDS = QUARTER_TURN / float(MAX_VELOCITIES[2])
 # Features of an empty scan. Origin: definition.
 NO_FEATURES = ScanFeatures(

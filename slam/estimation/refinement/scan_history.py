@@ -122,13 +122,15 @@ class ScanHistory:
             return motion, np.diag(UNMEASURED_MOTION_SIGMAS**2)
         if odometry_wrong[row : to + 1].any():
             return motion, np.diag(WRONG_ODOMETRY_SIGMAS**2)
-        if abs(motion[2]) > QUARTER_TURN and to > row + 1:  # each part turns by less
+        if (
+            abs(motion[2]) > QUARTER_TURN and to > row + 1
+        ):  # the turns of its parts are certain, if no scans are missing
             middle = (row + to) // 2
             first, of_first = self.motion(row, middle, model, odometry_wrong)
             second, of_second = self.motion(middle, to, model, odometry_wrong)
             return se2.compose(first, second), covariance_after(of_first, second) + of_second
-        covariance = model.covariance(corrected := model.correct(motion))
-        return corrected, covariance + np.diag(_variances_of_turn(model, motion))
+        corrected = model.correct(motion)
+        return corrected, model.covariance(corrected) + np.diag(_variances_of_turn(model, motion))
 
     def motions(self, model: OdometryModel) -> ScanMotions:
         """Return the motions from each scan to the next one."""
@@ -211,5 +213,5 @@ def build_scan_history(
 
 
 def _variances_of_turn(model: OdometryModel, motion: se2.Pose) -> Floats:
-    """Return the variances (..., 3) of measured motions (..., 3) because they may have turned the other way."""
-    return np.asarray(se2.between(model.correct(motion), model.correct_otherwise(motion)) ** 2)
+    """Return the variances (..., 3) of measured motions (..., 3) as they may turn in the other direction."""
+    return np.asarray(se2.between(model.correct(motion), model.correct_otherwise(motion, -1)) ** 2)

@@ -16,6 +16,7 @@ from slam.localisation.local_field import (
     MAX_PATH,
     REFERENCE_DISTANCE,
     LocalField,
+    LocalFieldState,
 )
 from slam.matching.distance_field import ALL_POINTS
 from slam.matching.offset_tiles import FIELD_CELL, NOWHERE
@@ -41,6 +42,15 @@ def drive(field: LocalField, poses: Floats) -> None:
     for keyframe in range(len(poses)):
         field.add(SCAN)
         field.update(keyframe, poses, (STEP * np.arange(len(poses))).tolist())
+
+
+def restored_from(state: LocalFieldState, count: int) -> LocalField:
+    """Return the field of a saved state, with the points of `count` keyframes."""
+    field = LocalField()
+    for _ in range(count):
+        field.add(SCAN)
+    field.restore(state)
+    return field
 
 
 def test_field_holds_the_keyframes_of_the_last_metres_and_the_new_ones() -> None:
@@ -155,19 +165,13 @@ def test_field_around_the_robot_is_built_in_steps_and_is_the_same_as_one_built_a
     assert 1 <= steps <= near / KEYFRAMES_PER_STEP
     assert field.field.centre_distance(poses[-1]) < MAX_CENTRE_DISTANCE / 2
     assert sorted(field.inserted) == list(range(len(poses)))
-    at_once = LocalField()
-    for _ in poses:
-        at_once.add(SCAN)
-    at_once.restore(field.state)
+    at_once = restored_from(field.state, len(poses))
     np.testing.assert_array_equal(offsets_of(at_once.field), offsets_of(field.field))
 
 
 def test_restored_field_continues_to_build_its_successor() -> None:
     poses, travelled, field = slow_drive(0.03, MAX_CENTRE_DISTANCE + 0.1)
-    restored = LocalField()
-    for _ in poses:
-        restored.add(SCAN)
-    restored.restore(field.state)
+    restored = restored_from(field.state, len(poses))
     assert field.state.successor is not None
     for _ in range(KEYFRAMES_PER_STEP):
         for one in (field, restored):
@@ -192,10 +196,7 @@ def test_restored_field_continues_as_the_saved_one() -> None:
     poses, field = straight_drive(30), LocalField()
     drive(field, poses)
     field.link(2, 28)
-    restored = LocalField()
-    for _ in range(30):
-        restored.add(SCAN)
-    restored.restore(field.state)
+    restored = restored_from(field.state, 30)
     np.testing.assert_array_equal(offsets_of(restored.field), offsets_of(field.field))
     assert restored.state.links == ((2, 28),)
     assert list(restored.inserted) == list(field.inserted)
@@ -219,10 +220,7 @@ def test_copy_and_original_do_not_change_each_other(changed: int, displacement: 
     assert before.successor is not None
     assert kept.state.successor is not None
     np.testing.assert_array_equal(kept.state.successor.poses, before.successor.poses)
-    at_once = LocalField()
-    for _ in poses:
-        at_once.add(SCAN)
-    at_once.restore(continued.state)
+    at_once = restored_from(continued.state, len(poses))
     np.testing.assert_array_equal(offsets_of(continued.field), offsets_of(at_once.field))
 
 

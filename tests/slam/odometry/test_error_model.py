@@ -115,7 +115,7 @@ def test_the_turn_that_leads_to_the_expected_heading_is_corrected(turn: float) -
     np.testing.assert_allclose(se2.between(true, corrected[0])[2], 0.0, atol=1e-9)
     np.testing.assert_array_equal(corrected, np.array([model.correct_near(measured, about)] * 2))
     certain = abs(turn) < 90.0 / 1.09
-    assert np.array_equal(model.correct(measured), model.correct_otherwise(measured)) == certain
+    assert np.array_equal(model.correct(measured), model.correct_otherwise(measured, -1)) == certain
 
 
 def test_corrected_motions_add_up() -> None:
