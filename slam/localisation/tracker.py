@@ -261,16 +261,15 @@ class Tracker:
         match, confirms_slip, seems_slipped = evidence.match, evidence.confirms_slip, evidence.seems_slipped
         if _too_few_features(scan) and len(target.landmarks.walls):
             return TrackingStatus.NO_FEATURES, False
-        if not match.plausible or evidence.needs_impossible_motion:
+        scans = self._untracked_in_a_row + 1
+        after_gap = self._predictor.is_after_gap(scans, MAX_UNTRACKED_SCANS)
+        # After a gap an even motion predicts nothing: the place may be any that looks alike.
+        anywhere = after_gap and self.measured and seems_slipped
+        if not match.plausible or evidence.needs_impossible_motion or anywhere:
             return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
         # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.
-        scans = self._untracked_in_a_row + 1
-        agree_for_long = (
-            scans >= MAX_UNTRACKED_SCANS
-            and not self._views.changed
-            and not self._predictor.is_after_gap(scans, MAX_UNTRACKED_SCANS)
-        )
+        agree_for_long = scans >= MAX_UNTRACKED_SCANS and not self._views.changed and not after_gap
         doubtful = confirms_slip and (match.poor or evidence.is_ambiguous) and not agree_for_long
         if seems_slipped or doubtful or (match.poor and self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)):
             return TrackingStatus.TENTATIVE, False

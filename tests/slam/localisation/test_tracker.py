@@ -236,8 +236,21 @@ def results_after_gap(
     return tracker, [tracker.track(1.1 + gap + 0.1 * k, odometry, seen, target) for k in range(scans)]
 
 
-def test_a_robot_that_drove_before_a_gap_is_found_where_it_stands() -> None:
-    _, results = results_after_gap(10.0, 2)
+@pytest.mark.parametrize(("driven", "lost"), [(RIGHT, False), (WRONG, True)])
+def test_a_robot_that_drove_in_a_long_gap_is_placed_by_odometry_only(
+    driven: tuple[float, float, float], lost: bool
+) -> None:
+    """An even motion predicts nothing then: another place where the scan fits is one of many that may look alike."""
+    tracker, results = results_after_gap(10.0, 4, driven=driven)
+    assert not any(result.poor for result in results)
+    assert (results[-1].status is TrackingStatus.TRACKED) is not lost
+    assert tracker.lost is lost
+    assert lost or np.all(np.abs(se2.between(STANDS, results[-1].pose)) < [0.05, 0.05, 0.03])
+
+
+def test_a_robot_that_drove_in_a_short_gap_is_found_against_odometry() -> None:
+    _, results = results_after_gap(0.4, 2)
+    assert results[-1].status is TrackingStatus.TRACKED
     assert np.all(np.abs(se2.between(STANDS, results[-1].pose)) < [0.05, 0.05, 0.03])
 
 
