@@ -22,6 +22,7 @@ from slam.evaluation.benchmarks.scenarios.log_variants import (
     crop,
     disturb,
     fail_odometry,
+    lose_scans,
     quantise,
     reverse_times,
     scatter_no_returns,
@@ -85,6 +86,18 @@ def test_odometry_fails_in_both_ways_and_goes_on() -> None:
     stands = moved == 0.0
     assert 0.05 < stands.mean() < 0.4
     np.testing.assert_allclose(moved[~gaps & ~stands], 0.05, atol=1e-9)
+
+
+def test_scans_are_missing_again_and_again_and_odometry_is_not() -> None:
+    sent: list[Message] = []
+    for stamp in 0.1 * np.arange(20_000):
+        sent += [Odometry(stamp, np.zeros(3)), Scan(stamp, np.ones(1), np.zeros(1), np.zeros(1), 0.1, 8.0)]
+    found = list(lose_scans()(sent, np.random.default_rng(1)))
+    assert sum(isinstance(m, Odometry) for m in found) == len(sent) // 2
+    between = np.diff([scan.stamp for scan in scans_of(found)])
+    missing = between[between > 0.2]
+    assert 5.0 < missing.min() < missing.max() < 40.2
+    assert 0.05 < missing.sum() / between.sum() < 0.4
 
 
 def test_thinned_logs_have_few_scans_and_all_odometry() -> None:

@@ -24,7 +24,7 @@ DRIFT = 0.04, 0.05, 0.011
 """Standard deviations of the systematic errors of odometry: relative error of the distance and of the turn, and radians
 per metre; those of the simulator's bad wheels."""
 WORKING, FAILING = (30.0, 120.0), (5.0, 40.0)
-"""Seconds, least and most, for which odometry measures the motion, and for which it fails then."""
+"""Seconds, least and most, for which a device works, and for which it fails then."""
 SHORT_REACH = 5.0
 """Metres that the lidar of a robot vacuum cleaner reaches."""
 MIN_PERIOD = 1e-4
@@ -158,28 +158,59 @@ def jitter() -> LogVariant:
 def fail_odometry() -> LogVariant:
     """Let odometry fail now and then: it stands still and goes on from there, or its readings are missing.
 
-    The times are drawn from WORKING and FAILING; both kinds of failure are equally probable.
+    Both kinds of failure are equally probable; for the times see `_Failures`.
     """
 
     def failing(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
-        end, fails, missing = -np.inf, True, False
+        failures = _Failures(random)
         counted: Pose | None = None  # by the wheels up to the last reading that is used
         pose = np.zeros(3)
         for message in messages:
             if not isinstance(message, Odometry):
                 yield message
                 continue
-            if message.stamp >= end:
-                fails, missing = not fails, bool(random.random() < 0.5)
-                end = message.stamp + random.uniform(*(FAILING if fails else WORKING))
-            if fails and missing:
+            failures.advance(message.stamp)
+            if failures.failing and failures.draw < 0.5:
                 continue
-            if not fails:
+            if not failures.failing:
                 pose = message.pose if counted is None else se2.compose(pose, se2.between(counted, message.pose))
             counted = message.pose
             yield replace(message, pose=pose)
 
     return failing
+
+
+def lose_scans() -> LogVariant:
+    """Let the lidar fail now and then: its scans are missing; for the times see `_Failures`."""
+
+    def failing(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
+        failures = _Failures(random)
+        for message in messages:
+            if isinstance(message, Scan):
+                failures.advance(message.stamp)
+            if not (isinstance(message, Scan) and failures.failing):
+                yield message
+
+    return failing
+
+
+class _Failures:
+    """Failures of a device, whose times are drawn from WORKING and FAILING.
+
+    failing  True if the device fails at the last stamp
+    draw     0 to 1, drawn for each time in which it works or fails, for the kind of failure
+    """
+
+    def __init__(self, random: np.random.Generator) -> None:
+        self.failing, self.draw = True, 0.0
+        self._random, self._end = random, -np.inf
+
+    def advance(self, stamp: float) -> None:
+        """Go on to a stamp."""
+        if stamp < self._end:
+            return
+        self.failing, self.draw = not self.failing, float(self._random.random())
+        self._end = stamp + self._random.uniform(*(FAILING if self.failing else WORKING))
 
 
 def _with_motions(messages: Iterable[Message], change: Callable[[Pose], Pose]) -> Iterator[Message]:
