@@ -130,7 +130,8 @@ class PacketStamper:
         self._number = 0  # number of the last packet
         self._damaged = 0
         self._settled = False
-        self._held: list[tuple[Measurements, Floats | Integers, Floats]] = []
+        # Before the clock has settled: measurements, the packets' times, their stamps by then, and their arrivals.
+        self._held: list[tuple[Measurements, Floats | Integers, Floats, Floats]] = []
 
     def counters(self) -> dict[str, int]:
         """Return the numbers of damaged or missing packets and the events of the clocks."""
@@ -159,12 +160,16 @@ class PacketStamper:
         times = packets["device_time"] if has_device_time else self._packet_numbers(packets["end"])
         clock = self._device_clock if has_device_time else self._count_clock.clock
         undelayed = self._undelayed(times, arrivals, None if has_device_time else complete)
-        self._held.append((measurements, times, undelayed))
+        self._held.append((measurements, times, undelayed, arrivals))
         self._settled |= bool((times[-1] - self._held[0][1][0]) * clock.tick >= SETTLING_SECONDS)
         if not self._settled:
             return []
         restamped = len(self._held) > 1 and not clock.jumps
-        ready = [(held, clock.host_times(of) if restamped else by_then) for held, of, by_then in self._held]
+        # A wrong period would put packets after their arrival, and with them all later stamps.
+        ready = [
+            (held, np.minimum(clock.host_times(of), arrived) if restamped else by_then)
+            for held, of, by_then, arrived in self._held
+        ]
         self._held.clear()
         return [(held, held.stamps(undelayed)) for held, undelayed in ready]
 

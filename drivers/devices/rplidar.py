@@ -30,6 +30,10 @@ from .lidar import LidarDevice, LidarStream
 RESPONSE_TIMEOUT = 0.3
 """Seconds; a device that listens responds within some milliseconds."""
 MAX_TRIES = 3
+MAX_RESPONSES = 5
+"""Responses of which two must agree; on a line that damages a byte in a thousand, three are different once in 1000."""
+MOTOR_BOARD_SIZE = 4
+"""Bytes of the response that tells if the motor's speed can be set."""
 SCAN_TIMEOUT = 3.0
 """Seconds; some models respond to a scan request only when the head turns steadily."""
 REBOOT_TIMEOUT = 15.0
@@ -132,8 +136,8 @@ class RplidarDevice(LidarDevice):
             return _run_query(transport, scan_modes.query_modes())
         rate = DEFAULT_SAMPLE_RATE
         if self._info.firmware >= FIRMWARE_WITH_SAMPLE_RATE:
-            reader = ResponseReader(ResponseType.SAMPLE_RATE, SampleRate.SIZE)
-            rate = SampleRate.parse(_request(transport, requests.GET_SAMPLE_RATE, reader))
+            payload = _request(transport, requests.GET_SAMPLE_RATE, ResponseType.SAMPLE_RATE, SampleRate.SIZE)
+            rate = SampleRate.parse(payload)
         return scan_modes.legacy_modes(rate, max_distance)
 
     def _start_motor(self, transport: Transport) -> None:
@@ -146,27 +150,49 @@ class RplidarDevice(LidarDevice):
         if self._motor is Motor.SPEED:
             transport.write(requests.set_motor_speed(speed).packet())
         elif self._motor is Motor.PWM:
-            reader = ResponseReader(ResponseType.MOTOR_BOARD, 4)
-            self._has_pwm = has_motor_pwm(_request(transport, requests.GET_MOTOR_BOARD, reader))
+            self._has_pwm = has_motor_pwm(
+                _request(transport, requests.GET_MOTOR_BOARD, ResponseType.MOTOR_BOARD, MOTOR_BOARD_SIZE)
+            )
             if self._has_pwm:
                 transport.write(requests.set_motor_pwm(duty).packet())
 
 
-def _request(transport: Transport, request: Request, reader: ResponseReader, tries: int = MAX_TRIES) -> bytes:
-    """Send a request and return the payload of its response; raises NoResponseError."""
-    for _ in range(tries):
+def _request(
+    transport: Transport,
+    request: Request,
+    type: ResponseType,
+    size: int | None = None,
+    prefix: bytes = b"",
+    tries: int = MAX_TRIES,
+) -> bytes:
+    """Send a request and return the payload of its response; for type, size and prefix see `ResponseReader`.
+
+    Responses have no checksum, so the request is repeated until two of them agree. Raises NoResponseError if the device
+    does not respond `tries` times, and DriverError if it responds MAX_RESPONSES times and no two of them agree.
+    """
+    payloads: list[bytes] = []
+    while len(payloads) < MAX_RESPONSES:
         transport.write(request.packet())
-        if found := await_response(transport, reader.feed, RESPONSE_TIMEOUT):
+        found = await_response(transport, ResponseReader(type, size, prefix=prefix).feed, RESPONSE_TIMEOUT)
+        if found is None:
+            tries -= 1
+            if not tries:
+                raise NoResponseError(
+                    transport.name, "no RPLIDAR responds here; is it powered, and the baud rate right?"
+                )
+        elif found[0] in payloads:
             return found[0]
-    raise NoResponseError(transport.name, "no RPLIDAR responds here; is it powered, and the baud rate right?")
+        else:
+            payloads.append(found[0])
+    raise DriverError(f"{transport.name}: the lidar responds differently each time; is the cable damaged?")
 
 
 def _info(transport: Transport, tries: int) -> Info:
-    return Info.parse(_request(transport, requests.GET_INFO, ResponseReader(ResponseType.INFO, Info.SIZE), tries))
+    return Info.parse(_request(transport, requests.GET_INFO, ResponseType.INFO, Info.SIZE, tries=tries))
 
 
 def _health(transport: Transport) -> Health:
-    return Health.parse(_request(transport, requests.GET_HEALTH, ResponseReader(ResponseType.HEALTH, Health.SIZE)))
+    return Health.parse(_request(transport, requests.GET_HEALTH, ResponseType.HEALTH, Health.SIZE))
 
 
 def _run_query(transport: Transport, query: Generator[Request, bytes, Result]) -> Result:
@@ -174,8 +200,8 @@ def _run_query(transport: Transport, query: Generator[Request, bytes, Result]) -
     try:
         request = next(query)
         while True:
-            reader = ResponseReader(ResponseType.CONFIGURATION, prefix=scan_modes.echo(request))
-            request = query.send(_request(transport, request, reader))
+            prefix = scan_modes.echo(request)
+            request = query.send(_request(transport, request, ResponseType.CONFIGURATION, prefix=prefix))
     except StopIteration as end:
         result: Result = end.value
         return result

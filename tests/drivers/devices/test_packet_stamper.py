@@ -89,6 +89,17 @@ def test_a_host_that_is_busy_at_first_does_not_delay_stamps() -> None:
     assert np.abs(np.concatenate([errors_of(*one) for one in stamped])).max() < 0.001
 
 
+@pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 100.0, 1e5])
+def test_packets_are_not_stamped_after_their_arrival_if_the_period_is_wrong(factor: float) -> None:
+    data, size, count = stream("dense")
+    decoder, stamper = decoder_for(0x85, 1 / RATE, BAUD, False), PacketStamper(factor * count / RATE, size)
+    for packet in range(len(data) // size):
+        received = Received(data[size * packet : size * (packet + 1)], START + packet * count / RATE)
+        stamper.add_chunk(received)
+        for _, stamps in stamper.add(decoder.feed(received.data)):
+            assert stamps.max() < received.time
+
+
 def decoder_delay() -> float:
     """Return the age of a node in sample periods, as the standard decoder assumes it, when its last byte is sent."""
     nodes = standard.encode(np.linspace(0.0, 0.1, 40), np.ones(40), np.full(40, 20), np.arange(40) == 0)
