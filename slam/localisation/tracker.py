@@ -271,7 +271,9 @@ class Tracker:
         # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.
         agree_for_long = scans >= MAX_UNTRACKED_SCANS and not self._views.changed and not after_gap
         doubtful = confirms_slip and (match.poor or evidence.is_ambiguous) and not agree_for_long
-        if seems_slipped or doubtful or (match.poor and self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)):
+        stood = self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)
+        unpredicted = after_gap and (stood or not self.measured)
+        if seems_slipped or doubtful or (match.poor and unpredicted):
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirms_slip or evidence.contradicts_odometry
 

@@ -218,14 +218,18 @@ def test_no_notice_without_a_failure() -> None:
 
 
 def results_after_gap(
-    gap: float, scans: int, room: Floats = ROOM, driven: tuple[float, float, float] = WRONG
+    gap: float,
+    scans: int,
+    room: Floats = ROOM,
+    driven: tuple[float, float, float] = WRONG,
+    model: OdometryModel | None = None,
 ) -> tuple[Tracker, list[TrackingResult]]:
     """Return the results of scans of a robot that stands, after a drive and some seconds without scans.
 
     The robot has not driven on as before the gap; see STANDS. `driven` is its motion in the gap by odometry, metres,
-    metres and radians.
+    metres and radians; `model` is that of odometry's errors.
     """
-    tracker = Tracker(OdometryModel(OdometryConfig()))
+    tracker = Tracker(model or OdometryModel(OdometryConfig()))
     target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
     for k in range(12):
         pose = np.array([1.0 + 0.05 * k, 1.5, 0.0])
@@ -275,6 +279,14 @@ def test_a_robot_whose_wheels_stood_in_a_long_gap_may_have_been_carried(gap: flo
     tracker, results = results_after_gap(gap, 4, FULL_ROOM, STOOD)
     assert all(result.poor for result in results)
     assert tracker.lost is tracker.may_have_been_carried is lost
+
+
+@pytest.mark.parametrize(("gap", "lost"), [(0.4, False), (10.0, True)])
+def test_without_odometry_poor_fits_after_a_long_gap_place_no_robot(gap: float, lost: bool) -> None:
+    """Nothing predicts where it is, and most scans fit somewhere."""
+    tracker, results = results_after_gap(gap, 4, FULL_ROOM, STOOD, PredictedMotionModel(OdometryConfig(source="none")))
+    assert results[0].poor
+    assert tracker.lost is lost
 
 
 def test_a_robot_whose_wheels_stood_in_a_long_gap_is_found_if_the_scans_fit() -> None:
