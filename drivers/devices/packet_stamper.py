@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -109,6 +110,28 @@ class PacketCountClock:
         return self.clock.stamp(count, arrived)
 
 
+class _Held(NamedTuple):
+    """Measurements that wait until the clock has settled.
+
+    times      (m,) of the packets, units of the clock
+    arrivals   (m,) seconds
+    undelayed  (m,) stamps of the packets by the clock when they arrived, seconds
+    """
+
+    measurements: Measurements
+    times: Floats | Integers
+    arrivals: Floats
+    undelayed: Floats
+
+    def restamped(self, clock: DeviceClock) -> Floats:
+        """Return stamps (m,) of the packets by the settled clock, seconds.
+
+        If the stated period of the packets is wrong, the clock may put them after their arrival; stamps must increase,
+        so all later ones would follow.
+        """
+        return np.minimum(clock.host_times(self.times), self.arrivals)
+
+
 class PacketStamper:
     """Stamps for the packets of one stream.
 
@@ -130,8 +153,7 @@ class PacketStamper:
         self._number = 0  # number of the last packet
         self._damaged = 0
         self._settled = False
-        # Before the clock has settled: measurements, the packets' times, their stamps by then, and their arrivals.
-        self._held: list[tuple[Measurements, Floats | Integers, Floats, Floats]] = []
+        self._held: list[_Held] = []
 
     def counters(self) -> dict[str, int]:
         """Return the numbers of damaged or missing packets and the events of the clocks."""
@@ -160,18 +182,14 @@ class PacketStamper:
         times = packets["device_time"] if has_device_time else self._packet_numbers(packets["end"])
         clock = self._device_clock if has_device_time else self._count_clock.clock
         undelayed = self._undelayed(times, arrivals, None if has_device_time else complete)
-        self._held.append((measurements, times, undelayed, arrivals))
-        self._settled |= bool((times[-1] - self._held[0][1][0]) * clock.tick >= SETTLING_SECONDS)
+        self._held.append(_Held(measurements, times, arrivals, undelayed))
+        self._settled |= bool((times[-1] - self._held[0].times[0]) * clock.tick >= SETTLING_SECONDS)
         if not self._settled:
             return []
         restamped = len(self._held) > 1 and not clock.jumps
-        # A wrong period would put packets after their arrival, and with them all later stamps.
-        ready = [
-            (held, np.minimum(clock.host_times(of), arrived) if restamped else by_then)
-            for held, of, by_then, arrived in self._held
-        ]
+        ready = [(held.measurements, held.restamped(clock) if restamped else held.undelayed) for held in self._held]
         self._held.clear()
-        return [(held, held.stamps(undelayed)) for held, undelayed in ready]
+        return [(measurements, measurements.stamps(at)) for measurements, at in ready]
 
     def _undelayed(self, times: Floats | Integers, arrivals: Floats, complete: Flags | None) -> Floats:
         """Return when the packets (m,) would have arrived without delay, as far as the clock is known.

@@ -113,12 +113,17 @@ class PosePredictor:
             return False
         return NORMAL_LIMIT * float(self._velocity.deviations(self._since_fix)[:2].max()) > MAX_SEARCH_SHIFT
 
-    def stood_in_gap(self, taken: int, missing: int) -> bool:
-        """Return True if the wheels hardly moved in a gap, see `is_after_gap`: the robot stood, or was carried."""
-        after = self._last_odometry if self._odometry_after_gap is None else self._odometry_after_gap
-        if self._fix is None or after is None or not self.measured or not self.is_after_gap(taken, missing):
+    def stood(self, odometry: se2.Pose) -> bool:
+        """Return True if the wheels hardly moved from the last fix to a pose of odometry: the robot may be carried."""
+        if self._fix is None or not self.measured:
             return False
-        return bool(wheel_travel(self._fix.odometry_motion(after)) <= MAX_TRAVEL)
+        return bool(wheel_travel(self._fix.odometry_motion(odometry)) <= MAX_TRAVEL)
+
+    @property
+    def stood_in_gap(self) -> bool:
+        """True if the wheels hardly moved from the last fix to the first scan since then that shows something."""
+        after = self._last_odometry if self._odometry_after_gap is None else self._odometry_after_gap
+        return after is not None and self.stood(after)
 
     def correct(self, pose: se2.Pose, covariance: Floats | None = None) -> None:
         """Replace the pose of the last fix, and predict from it from now on; for the covariance see `PoseFix`."""

@@ -28,7 +28,6 @@ from ..geometry.surroundings import MIN_WALL_LENGTH
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, information_of
 from ..matching.scan_features import ScanFeatures
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import wheel_travel
 from ..odometry.velocity import VelocityFilter
 from .followed_motion import Compare
 from .match_target import MatchTarget, ScanMatch
@@ -38,7 +37,7 @@ from .predictions import Predictions, TentativePose
 from .slip_evidence import SlipEvidence
 from .small_objects import SmallObjects, lasting_points
 from .tracking import PoseFix, TrackerState, TrackingResult, TrackingStatus
-from .view_change import MAX_TRAVEL, MIN_POINTS, View, ViewComparison
+from .view_change import MIN_POINTS, View, ViewComparison
 
 # Drop in score from one scan to the next above which the view is compared with the previous one: if that differs as
 # well, the robot was kidnapped. Origin: chosen; no measurement recorded.
@@ -133,8 +132,16 @@ class Tracker:
         A scan fits where no motion leads, the view has changed abruptly within the last metres, or in a gap before the
         scans that are not tracked, so many are missing that the robot would be lost if these had fitted nowhere.
         """
-        stood_in_gap = self._predictor.stood_in_gap(self._untracked_in_a_row, MAX_UNTRACKED_SCANS)
-        return self._carried or self._views.changed or stood_in_gap
+        if self._carried or self._views.changed:
+            return True
+        return self._is_after_gap(self._untracked_in_a_row) and self._predictor.stood_in_gap
+
+    def _is_after_gap(self, taken: int) -> bool:
+        """Return True if the last `taken` scans follow a gap in which the robot may have moved to any place.
+
+        So many scans are missing that it would be lost if these had fitted nowhere.
+        """
+        return self._predictor.is_after_gap(taken, MAX_UNTRACKED_SCANS)
 
     def track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
         """Estimate the base's pose at a scan taken when odometry was at `odometry`.
@@ -164,7 +171,9 @@ class Tracker:
             suspicious=suspicious and self.measured,
             fits_nowhere=failed,
         )
-        fits_beyond_reach = failed and evidence.needs_impossible_motion and not match.poor and self._stood(odometry)
+        fits_beyond_reach = (
+            failed and evidence.needs_impossible_motion and not match.poor and self._predictor.stood(odometry)
+        )
         self._carried = self._carried or (failed and differs) or fits_beyond_reach
         fits_by_chance = tracked and (differs or (slipped and match.poor and self._views.changed))
         if fits_by_chance:
@@ -197,7 +206,7 @@ class Tracker:
             points,
             exhaustive=not self.measured,
             earlier_evidence=predictions.evidence if self.measured else None,
-            after_gap=self._predictor.is_after_gap(self._untracked_in_a_row + 1, MAX_UNTRACKED_SCANS),
+            after_gap=self._is_after_gap(self._untracked_in_a_row + 1),
         )
 
     def _update(
@@ -226,11 +235,6 @@ class Tracker:
     def measured(self) -> bool:
         """True if odometry measures the motion: there is odometry, and it is not failing."""
         return self._predictor.measured
-
-    def _stood(self, odometry: se2.Pose) -> bool:
-        """Return True if the wheels hardly moved since the last fix."""
-        fix = self.fix
-        return fix is not None and self.measured and bool(wheel_travel(fix.odometry_motion(odometry)) <= MAX_TRAVEL)
 
     def _match_to_last_metres(
         self,
@@ -262,18 +266,17 @@ class Tracker:
         if _too_few_features(scan) and len(target.landmarks.walls):
             return TrackingStatus.NO_FEATURES, False
         scans = self._untracked_in_a_row + 1
-        after_gap = self._predictor.is_after_gap(scans, MAX_UNTRACKED_SCANS)
+        after_gap = self._is_after_gap(scans)
         # After a gap an even motion predicts nothing: the place may be any that looks alike.
-        anywhere = after_gap and self.measured and seems_slipped
-        if not match.plausible or evidence.needs_impossible_motion or anywhere:
+        may_be_anywhere = after_gap and self.measured and seems_slipped
+        if not match.plausible or evidence.needs_impossible_motion or may_be_anywhere:
             return TrackingStatus.FAILED, False
-        # The poses of the last scans agree with each other, and nothing suggests that the robot was carried: neither
-        # the view, nor a gap in which so many scans are missing that it would be lost if these had fitted nowhere.
+        # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = scans >= MAX_UNTRACKED_SCANS and not self._views.changed and not after_gap
         doubtful = confirms_slip and (match.poor or evidence.is_ambiguous) and not agree_for_long
-        stood = self._predictor.stood_in_gap(scans, MAX_UNTRACKED_SCANS)
-        unpredicted = after_gap and (stood or not self.measured)
-        if seems_slipped or doubtful or (match.poor and unpredicted):
+        # Nothing has measured the motion in a gap: odometry is missing or failing, or the robot may have been carried.
+        poor_after_gap = match.poor and after_gap and (not self.measured or self._predictor.stood_in_gap)
+        if seems_slipped or doubtful or poor_after_gap:
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirms_slip or evidence.contradicts_odometry
 

@@ -122,9 +122,8 @@ class ScanHistory:
             return motion, np.diag(UNMEASURED_MOTION_SIGMAS**2)
         if odometry_wrong[row : to + 1].any():
             return motion, np.diag(WRONG_ODOMETRY_SIGMAS**2)
-        if (
-            abs(motion[2]) > QUARTER_TURN and to > row + 1
-        ):  # the turns of its parts are certain, if no scans are missing
+        # The turns of its parts are certain, unless scans are missing.
+        if abs(motion[2]) > QUARTER_TURN and to > row + 1:
             middle = (row + to) // 2
             first, of_first = self.motion(row, middle, model, odometry_wrong)
             second, of_second = self.motion(middle, to, model, odometry_wrong)
