@@ -26,6 +26,7 @@ from .loop_closure.agreement import LoopAgreement
 from .mapping.convergence import converge
 from .mapping.map_features import MapCorners, MapWalls
 from .mapping.plan_map import VIEWS_END, PlanMap
+from .odometry.history import OdometryHistory
 from .odometry.motion_source import MotionSource
 from .preprocessing.message_check import MessageCheck
 from .preprocessing.preprocessor import ProcessedScan
@@ -178,22 +179,26 @@ class Slam:
             self._publisher.publish(ModeChanged(first.stamp, frozen=True))
         earlier = self._stored.earlier
         if earlier is None:
-            self._preprocessor.odometry = self._journal.start_odometry_segment()
+            self._use_odometry(self._journal.start_odometry_segment())
             return
         self._publisher.publish_map(first.stamp, self.slam_state.mapper)
-        self._preprocessor.odometry = self._journal.segments.histories[-1]
+        self._use_odometry(self._journal.segments.histories[-1])
         continued = not self._motions.predicted and self._journal.segments.is_continued_by(first)
         if continued and self._motions.jump is None:
             return
         self._process_queue(sum(not scan.lidar for scan in earlier.queued_scans))
         self._journal.begin_run()
         if continued:  # the wheels were not read for a while, and the robot may have driven
-            self._estimator.doubt_place(first.pose)
+            self._estimator.doubt_place(first)
         else:
-            self._preprocessor.odometry = self._journal.start_odometry_segment()
+            self._use_odometry(self._journal.start_odometry_segment())
             self.slam_state.odometry_model.begin_drive()
-            self._estimator.begin_part(self.slam_state.pose, first.pose, kidnapped=True, expected=STATED)
+            self._estimator.begin_part(self.slam_state.pose, first, kidnapped=True, expected=STATED)
         self._localisation.handle(first.stamp, LocalisationEvent.STARTED_ANYWHERE)
+
+    def _use_odometry(self, history: OdometryHistory) -> None:
+        """Append the readings to a history from now on, and predict motions by it."""
+        self._preprocessor.odometry = self.slam_state.odometry.history = history
 
     def _place(self, scan: ProcessedScan, pose: se2.Pose) -> None:
         """Move the robot to the pose that was set, if the scan fits near it."""
@@ -242,7 +247,7 @@ class Slam:
         if not self.frozen:
             return
         if self._journal.scans:
-            self._estimator.unfreeze(self._journal.scans[-1].odometry)
+            self._estimator.unfreeze(self._journal.scans[-1].reading)
         else:
             self.slam_state.frozen = False
         self._journal.end_localising()

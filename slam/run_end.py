@@ -102,7 +102,7 @@ def _refine_or_match(
     result.mapper.recompute_pose_covariances()
     if state.plan is not None and state.plan.recognised:
         state.plan.settle(result.mapper, state.local_field)
-    fix = PoseFix(result.poses[-1], journal.scans[-1].odometry)
+    fix = PoseFix(result.poses[-1], journal.scans[-1].reading)
     state.replace_map(result.mapper, result.trajectory, fix, history.keyframe_scans)
     publisher.publish_map(stamp, state.mapper)
     return {"refinement": result.summary}

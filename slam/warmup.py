@@ -136,6 +136,7 @@ def compile_estimation() -> None:
     estimator, scans = Estimator(state), []
     for message in _drive():
         if isinstance(message, Odometry):
+            state.odometry.history.add(message)
             odometry = message.pose
         else:
             scans.append(_seen_features(message, odometry))
@@ -145,7 +146,7 @@ def compile_estimation() -> None:
     _check_loop(state)
     state.mapper.graph.residuals()
     converge(state.mapper)
-    history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, ())
+    history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, [state.odometry.history])
     path_distances = state.local_field.path_distances(state.mapper.travelled)
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model, path_distances)
     placed = state.trajectory.at_scans(state.mapper.keyframe_poses)
@@ -241,7 +242,7 @@ def _search_poses() -> None:
     points, field = _two_walls(), DistanceField.empty(np.zeros(2))
     field.insert(np.zeros(3), points)
     match_points(field, points, [Prediction(np.zeros(3), np.diag([100.0, 100.0, 1e3]))], exhaustive=True)
-    view = View(np.zeros(3), np.ascontiguousarray(points[:, :2]))
+    view = View(Odometry(0.0, np.zeros(3)), np.ascontiguousarray(points[:, :2]))
     view.differs_from(view, np.zeros(3))
 
 

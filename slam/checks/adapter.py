@@ -18,8 +18,9 @@ from ..loop_closure.submap_search import DISTINCT_SHIFT
 from ..mapping.mapper import Mapper
 from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.trajectory_builder import TrajectoryBuilder
+from ..odometry.dead_reckoning import DeadReckoning
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import wheel_travel
+from ..odometry.history import OdometryHistory, wheel_travel
 from ..odometry.velocity import MAX_VELOCITIES
 from ..preprocessing.preprocessor import ProcessedScan
 from ..preprocessing.scan_sequence import ScanSequence
@@ -59,10 +60,12 @@ def drive_of(
     found = np.minimum(np.searchsorted(stamps, of_scans), max(len(stamps) - 1, 0))
     rows = np.flatnonzero(stamps[found] == of_scans) if len(stamps) else np.zeros(0, dtype=np.int64)
     segment = np.searchsorted(np.asarray(segments.starts, dtype=np.int64), rows, side="right")
+    odometry = DeadReckoning(odometry_model, OdometryHistory.joined(segments.histories))
+    motions = odometry.motion_each(of_scans[rows], scans.odometry[rows])
     return Drive(
         stamps=of_scans[rows],
         poses=poses[found[rows]],
-        odometry=_corrected_path(scans.odometry[rows], odometry_model, poses[found[rows]]),
+        odometry=_corrected_path(scans.odometry[rows], motions),
         segment=segment,
         points=[scans.points(row) for row in rows.tolist()],
         deviations=odometry_model.deviations,
@@ -235,12 +238,8 @@ def _largest_deviations(mapper: Mapper, firsts: Sequence[int]) -> tuple[float, f
     return position, float(np.sqrt(max(covariance[2, 2] for covariance in covariances)))
 
 
-def _corrected_path(odometry: Floats, model: OdometryModel, poses: Floats) -> Floats:
-    """Return odometry poses (n, 3) along which each motion is without its systematic error.
-
-    `poses` (n, 3) are those of the path, see `OdometryModel.correct_near`.
-    """
-    motions = model.correct_near(se2.between(odometry[:-1], odometry[1:]), se2.between(poses[:-1], poses[1:]))
+def _corrected_path(odometry: Floats, motions: Floats) -> Floats:
+    """Return the first of odometry's poses (n, 3), and those to which motions (n - 1, 3) lead; headings are unwrapped."""
     path = odometry.copy()
     path[1:, 2] = odometry[:1, 2] + np.cumsum(motions[:, 2])
     turned = se2.transform(np.column_stack([np.zeros((len(motions), 2)), path[:-1, 2]]), motions[:, :2])

@@ -21,6 +21,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers import se2
+from drivers.messages import Odometry
 
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import INDOOR_RANGE
@@ -72,10 +73,10 @@ class EarlierPart:
         self.state.untracked_scans, self.state.tentative = [], []  # no part begins with them
         extend_trajectory(self.state, scan.stamp, tracking)
         self.monitor.record(scan)
-        self._count(self._evidence(tracking, scan.odometry), scan.odometry)
+        self._count(self._evidence(tracking, scan.reading), scan.odometry)
         return tracking
 
-    def _evidence(self, tracking: TrackingResult, odometry: se2.Pose) -> int:
+    def _evidence(self, tracking: TrackingResult, odometry: Odometry) -> int:
         """Return 1 if a scan fits well where odometry predicts it, -1 if it does not fit there, 0 if undecided."""
         if tracking.status is TrackingStatus.NO_FEATURES or tracking.known < MIN_KNOWN_POINTS:
             return 0
@@ -85,16 +86,15 @@ class EarlierPart:
             return -1
         return 0 if tracking.poor else 1
 
-    def _agrees_with_odometry(self, pose: se2.Pose, odometry: se2.Pose) -> bool:
+    def _agrees_with_odometry(self, pose: se2.Pose, odometry: Odometry) -> bool:
         """Return True if odometry since the robot was last seen in the part leads to about `pose`.
 
         True also without odometry, whose motions are those between the poses of the new part.
         """
-        model = self.state.odometry_model
-        motion = model.correct(self._last_seen.odometry_motion(odometry))
-        information = inverse(model.covariance(motion) + np.diag(PREDICTION_SIGMAS**2))
+        motion, covariance = self.state.odometry.measure(self._last_seen.odometry, odometry)
+        information = inverse(covariance + np.diag(PREDICTION_SIGMAS**2))
         predicted = Prediction(se2.compose(self._last_seen.pose, motion), information)
-        return not model.measured or not predicted.excludes(pose)
+        return not self.state.odometry_model.measured or not predicted.excludes(pose)
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
         """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.immutable import immutable
+from drivers.messages import Odometry
 
 from ..geometry.surroundings import INDOOR_RANGE
 from ..localisation.tracking import TrackingResult
@@ -131,7 +132,7 @@ class Estimator:
         self.state, self._frozen_state, self._earlier, self._monitor = trial, None, None, ClosureMonitor()
         return True
 
-    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool, expected: Expectation = LOST) -> None:
+    def begin_part(self, pose: se2.Pose, odometry: Odometry, *, kidnapped: bool, expected: Expectation = LOST) -> None:
         """Map in a new part from now on, beginning at a pose; see `SlamState.begin_part`."""
         if self.state.frozen:
             self._frozen_state = self.state
@@ -140,10 +141,10 @@ class Estimator:
         self.state.begin_part(pose, odometry, kidnapped=kidnapped, expected=expected)
         self._monitor, self._earlier = ClosureMonitor(), None
 
-    def doubt_place(self, odometry: se2.Pose) -> None:
+    def doubt_place(self, odometry: Odometry) -> None:
         """Map in a new part from now on, until the next scans show that the robot is where it was before.
 
-        odometry  pose of odometry now, in its frame until now: it knows of no motion since the last scan
+        odometry  reading of odometry now, in its frame until now: it knows of no motion since the last scan
         """
         earlier = EarlierPart(self.state.copy(), self._monitor)
         self.begin_part(self.state.pose, odometry, kidnapped=True)
@@ -155,8 +156,8 @@ class Estimator:
         self.state.frozen = True
         self._monitor, self._earlier = ClosureMonitor(), None
 
-    def unfreeze(self, odometry: se2.Pose) -> None:
-        """Extend the map again, from where the robot is; `odometry` is the pose of odometry at the last scan.
+    def unfreeze(self, odometry: Odometry) -> None:
+        """Extend the map again, from where the robot is; `odometry` is the reading of odometry at the last scan.
 
         If the robot is lost in the map, a new part of it begins; the map on trial is discarded.
         """
@@ -170,7 +171,7 @@ class Estimator:
 
     def _begin_part_with(self, scans: Sequence[ProcessedScan], timer: StageTimer, *, kidnapped: bool) -> ScanResult:
         """Begin a part of the map with scans that did not fit; the result is that of the last one."""
-        odometry = scans[0].odometry
+        odometry = scans[0].reading
         earlier = self._earlier or EarlierPart(self.state.copy(), self._monitor)
         self.begin_part(self.state.predict(odometry), odometry, kidnapped=kidnapped)
         self._earlier = earlier
@@ -208,7 +209,7 @@ class Estimator:
             self._earlier = None
         if self._frozen_state is not None and decision.old < self._frozen_state.mapper.keyframe_count:
             self.state, self._frozen_state = self._frozen_state.copy(), None
-            relocalise(self.state, trial, scan.odometry)
+            relocalise(self.state, trial, scan.reading)
             return replace(update, loop=replace(decision, since=self.state.mapper.keyframe_count))
         self._monitor.add(self.state, decision)
         self.state = trial

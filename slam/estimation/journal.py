@@ -164,7 +164,12 @@ class Journal:
     def history(self, state: SlamState) -> ScanHistory:
         """Return all scans with their poses relative to keyframes, for refinement."""
         return build_scan_history(
-            self.scans, state.trajectory, state.keyframe_stamps, state.kidnapped_keyframes, self.segments.starts
+            self.scans,
+            state.trajectory,
+            state.keyframe_stamps,
+            self.segments.histories,
+            state.kidnapped_keyframes,
+            self.segments.starts,
         )
 
     def without_dispensable_features(self, history: ScanHistory) -> ScanHistory:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers import se2
+from drivers.messages import Odometry
 
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
@@ -25,31 +26,31 @@ UNMEASURED_MOTION_SIGMAS = np.array([10.0, 10.0, 3.0])
 UNMEASURED_MOTION_INFORMATION = np.diag(UNMEASURED_MOTION_SIGMAS**-2.0)
 
 
-def motion_since(state: SlamState, anchor: Anchor, odometry: se2.Pose, tracking: TrackingResult) -> KeyframeMotion:
+def motion_since(state: SlamState, anchor: Anchor, odometry: Odometry, tracking: TrackingResult) -> KeyframeMotion:
     """Return odometry's motion from the anchor to a scan that becomes a keyframe, and learn odometry's errors from it.
 
-    odometry  pose of odometry at the scan
+    odometry  reading of odometry at the scan
 
     A robot that was kidnapped since the anchor is where registration has it, with a weak prior; this is stored with the
     keyframe. While odometry is failing, the motion is that of the scans, with the covariance of one that is predicted.
     The states `kidnapped` and `slipped` end here: the next motion begins at the new keyframe.
     """
     registration = tracking.registration
-    measured, registered = se2.between(anchor.odometry, odometry), se2.between(state.anchor_pose, state.pose)
+    registered = se2.between(state.anchor_pose, state.pose)
     covariance, correlated_drift = np.diag(UNMEASURED_MOTION_SIGMAS**2), np.zeros((2, 2))
     if state.kidnapped:
         state.kidnapped_keyframes.append(state.mapper.keyframe_count)
         motion = registered
     else:
-        fails = state.tracker.odometry_failing
-        if not fails:
+        model = state.odometry_model
+        if state.tracker.odometry_failing:
+            model = state.unmeasured_model
+            motion, covariance = registered, model.covariance(registered)
+        else:
             learn_motion(state, odometry, tracking)
-        model = state.unmeasured_model if fails else state.odometry_model
-        motion = registered if fails else model.correct_near(measured, registered)
-        covariance = model.covariance(motion)
-        if state.slipped and not fails:  # odometry is wrong by as much as registration says
-            error = se2.between(motion, registered)
-            covariance = covariance + np.diag(error**2)
+            motion, covariance = state.odometry.measure(anchor.odometry, odometry)
+            if state.slipped:  # odometry is wrong by as much as registration says
+                covariance = covariance + np.diag(se2.between(motion, registered) ** 2)
         correlated_drift = model.correlated_drift(motion, registration.total_information)
     state.kidnapped = state.slipped = False
     covariance = covariance + covariance_after(anchor.covariance, motion)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers import se2
+from drivers.messages import Odometry
 
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.membership import is_among
@@ -90,18 +91,21 @@ def learn_between_keyframes(state: SlamState, scan: ProcessedScan, tracking: Tra
     start = state.learned_until or state.anchor
     if state.spacings(state.pose_of(start), tracking.predicted.pose) > CLOSE_SHARE:
         pose = tracking.registration.pose
-        learn_motion(state, scan.odometry, tracking)
+        learn_motion(state, scan.reading, tracking)
         if not state.frozen:
             state.mapper.count_walls_seen_through(pose, scan.features.points.xy)
         relative = se2.between(state.mapper.keyframe_poses[start.keyframe], pose)
-        state.learned_until = Anchor(start.keyframe, relative, tracking.registered_covariance, scan.odometry)
+        state.learned_until = Anchor(start.keyframe, relative, tracking.registered_covariance, scan.reading)
 
 
-def learn_motion(state: SlamState, odometry: se2.Pose, tracking: TrackingResult) -> None:
+def learn_motion(state: SlamState, odometry: Odometry, tracking: TrackingResult) -> None:
     """Learn from the difference between odometry's motion since `learned_until` and the one that the scan shows."""
     start = state.learned_until or state.anchor
     assert start is not None
-    measured, by_scan = se2.between(start.odometry, odometry), se2.between(state.pose_of(start), tracking.scan_pose)
+    measured, by_scan = (
+        se2.between(start.odometry.pose, odometry.pose),
+        se2.between(state.pose_of(start), tracking.scan_pose),
+    )
     information = tracking.registration.total_information
     if start.covariance.any():
         information = inverse(inverse(information + CONDITIONING) + covariance_after(start.covariance, by_scan))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers import se2
+from drivers.messages import Odometry
 
 from ..geometry.nearest_pose import relative_to_nearest
 from ..localisation.match_target import MatchTarget
@@ -25,10 +26,10 @@ def place(state: SlamState, pose: se2.Pose, scan: ProcessedScan) -> bool:
     """
     keyframe, relative = relative_to_nearest(state.mapper.keyframe_poses, pose)
     covariance = np.diag(INITIAL_POSE_SIGMAS**2)
-    state.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
+    state.set_anchor(Anchor(keyframe, relative, covariance, scan.reading))
     state.local_field.clear()
     state.update_local_field()
-    state.move_to(pose, scan.odometry)
+    state.move_to(pose, scan.reading)
     target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variance)
     features = scan.features.without_range_bias(state.mapper.graph.range_bias.metres)
     match = target.match(features, [Prediction(pose, np.linalg.inv(covariance))], exhaustive=True)
@@ -36,16 +37,16 @@ def place(state: SlamState, pose: se2.Pose, scan: ProcessedScan) -> bool:
         return False
     found = match.points.pose
     relative = se2.between(state.mapper.keyframe_poses[keyframe], found)
-    state.set_anchor(Anchor(keyframe, relative, covariance, scan.odometry))
-    state.move_to(found, scan.odometry)
+    state.set_anchor(Anchor(keyframe, relative, covariance, scan.reading))
+    state.move_to(found, scan.reading)
     return True
 
 
-def relocalise(state: SlamState, joined: SlamState, odometry: se2.Pose) -> None:
+def relocalise(state: SlamState, joined: SlamState, odometry: Odometry) -> None:
     """Continue where the robot is in a copy of a state, in which it has mapped on and its map was joined.
 
     Its scans are added to the trajectory, unless the robot was carried and has not been recognised between them and
-    now. The copy takes over the errors of odometry learned meanwhile. `odometry` is the present pose of odometry.
+    now. The copy takes over the errors of odometry learned meanwhile. `odometry` is the present reading of odometry.
     """
     count = state.mapper.keyframe_count
     old_poses, poses = joined.mapper.keyframe_poses[:count], joined.mapper.keyframe_poses
@@ -55,7 +56,6 @@ def relocalise(state: SlamState, joined: SlamState, odometry: se2.Pose) -> None:
         if known[keyframe]:
             nearest, pose = relative_to_nearest(old_poses, se2.compose(poses[keyframe], relative))
             state.trajectory.add(float(stamp), nearest, pose, information)
-    state.odometry_model = joined.odometry_model
-    state.tracker.replace_model(state.odometry_model)
+    state.odometry.model = joined.odometry_model
     nearest, pose = relative_to_nearest(old_poses, joined.pose)
     state.move_to(se2.compose(state.mapper.keyframe_poses[nearest], pose), odometry)

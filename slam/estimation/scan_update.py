@@ -63,8 +63,6 @@ class KeyframeUpdate:
 
 def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingResult:
     """Estimate the pose of a scan and store it in the state."""
-    for odometry in scan.turns:
-        state.tracker.advance(odometry)
     _follow_prediction(state, scan)
     has_mapped_here = not (state.frozen or state.kidnapped or state.at_part_begin) and state.anchor is not None
     recent = partial(state.local_field.recent, state.mapper.keyframe_poses, state.mapper.travelled)
@@ -72,7 +70,7 @@ def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingR
         state.local_map, state.local_field.field, state.mapper.roughness.variance, recent if has_mapped_here else None
     )
     features = scan.features.without_range_bias(state.mapper.graph.range_bias.metres)
-    tracking = state.tracker.track(scan.stamp, scan.odometry, features, target)
+    tracking = state.tracker.track(scan.reading, features, target)
     timer.lap("registration")
     if tracking.contradicts_old_map:
         state.local_field.unlink_earlier_passes(state.mapper.travelled)
@@ -135,9 +133,8 @@ def _add_last_tracked(state: SlamState, timer: StageTimer) -> KeyframeUpdate | N
     if last is None or state.anchor is None or state.frozen:
         return None
     scan, tracking = last
-    motion = state.odometry_model.correct(se2.between(state.anchor.odometry, scan.odometry))
-    of_odometry = np.asarray(inverse(state.odometry_model.covariance(motion)))
-    odometry_tells_more = is_positive_definite(of_odometry - tracking.registration.total_information)
+    motion, covariance = state.odometry.measure(state.anchor.odometry, scan.reading)
+    odometry_tells_more = is_positive_definite(inverse(covariance) - tracking.registration.total_information)
     if odometry_tells_more or wheel_travel(motion) < MIN_MOTION_TRAVEL:
         return None
     return _add_earlier(state, scan, tracking, timer)
@@ -154,7 +151,7 @@ def _follow_prediction(state: SlamState, scan: ProcessedScan) -> None:
     """Take the local map from around the predicted pose if the robot has driven on without being tracked."""
     if state.anchor is None or state.kidnapped or state.at_part_begin:
         return
-    predicted = state.predict(scan.odometry)
+    predicted = state.predict(scan.reading)
     if math.dist(predicted[:2], state.pose[:2]) > MAX_UNTRACKED_DISTANCE:
         state.local_map = state.local_map_at(predicted, RELOCALISED_RADIUS)
 
@@ -169,7 +166,7 @@ def _pass_familiar_place(state: SlamState, keyframe: int, scan: ProcessedScan, t
     """Set the anchor relative to a keyframe of a familiar place, without changing the map."""
     state.mapper.solve_waiting()
     relative = se2.between(state.mapper.keyframe_poses[keyframe], state.pose)
-    state.set_anchor(Anchor(keyframe, relative, tracking.registered_covariance, scan.odometry))
+    state.set_anchor(Anchor(keyframe, relative, tracking.registered_covariance, scan.reading))
     state.kidnapped, state.slipped = state.kidnapped and not state.frozen, False
     if not state.frozen:
         state.mapper.remove_walls_seen_through(state.pose, scan.features.points.xy)
@@ -226,7 +223,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     association = _associate(state, scan, tracking)
     timer.lap("association")
     begins_part = state.at_part_begin
-    motion = None if state.anchor is None else motion_since(state, state.anchor, scan.odometry, tracking)
+    motion = None if state.anchor is None else motion_since(state, state.anchor, scan.reading, tracking)
     scan_matches = relative_scan_matches(state, scan, tracking)
     observations = mapper.add_keyframe(
         state.pose,
@@ -242,7 +239,7 @@ def _add_keyframe(state: SlamState, scan: ProcessedScan, tracking: TrackingResul
     state.keyframe_driven.append(state.driven)
     timer.lap("graph")
     state.local_map, merge = mapper.refresh(observations, state.linked_keyframes)
-    state.set_anchor(Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.odometry))
+    state.set_anchor(Anchor(mapper.keyframe_count - 1, np.zeros(3), np.zeros((3, 3)), scan.reading))
     state.local_field.add(scan.features, 1.0 if begins_part else undetermined_share(tracking))
     linked = mapper.is_solved and link_revisited(state, scan)
     state.move_to_last_keyframe(observations if linked else None)

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 
 from drivers import se2
+from drivers.messages import Odometry
 
 from ..config import Config
 from ..geometry.segments import Floats, Integers
@@ -28,6 +29,8 @@ from ..mapping.keyframes import KeyframeObservations
 from ..mapping.local_map import LOCAL_MAP_MARGIN, LocalMap, empty_local_map
 from ..mapping.mapper import Mapper
 from ..mapping.trajectory_builder import TrajectoryBuilder
+from ..odometry.dead_reckoning import DeadReckoning
+from ..odometry.error_model import OdometryModel
 from ..odometry.predicted_motion import PredictedMotionModel, motion_model
 from ..odometry.systematic_errors import PERFECT
 from ..preprocessing.preprocessor import ProcessedScan
@@ -45,7 +48,7 @@ class SlamState:
 
     mapper               graph, landmarks and keyframes
     trajectory           poses of all tracked scans, relative to keyframes
-    odometry_model       learned errors of the odometry
+    odometry             readings of odometry with their learned errors
     unmeasured_model     errors of motions that are predicted while odometry is failing
     tracker              last pose fix and the other state of tracking
     loops                search for loop closures
@@ -71,10 +74,10 @@ class SlamState:
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
         self.config = config
         self.mapper = Mapper()
-        self.odometry_model = motion_model(config.odometry)
+        self.odometry = DeadReckoning(motion_model(config.odometry))
         self.unmeasured_model = PredictedMotionModel(config.odometry)
         self.trajectory = TrajectoryBuilder()
-        self.tracker = Tracker(self.odometry_model)
+        self.tracker = Tracker(self.odometry)
         self.loops = loops or LoopAgreement()
         self.joins = JoinSearch()
         self.keyframe_stamps: list[float] = []
@@ -135,9 +138,13 @@ class SlamState:
 
     def replace_odometry(self, config: Config) -> None:
         """Use another source of odometry from now on, whose errors are not known yet."""
-        self.config, self.odometry_model = config, motion_model(config.odometry)
+        self.config, self.odometry.model = config, motion_model(config.odometry)
         self.unmeasured_model = PredictedMotionModel(config.odometry)
-        self.tracker.replace_model(self.odometry_model)
+
+    @property
+    def odometry_model(self) -> OdometryModel:
+        """Learned errors of odometry."""
+        return self.odometry.model
 
     def copy(self) -> SlamState:
         """Return a copy to return to, or to try a change on."""
@@ -189,12 +196,12 @@ class SlamState:
         """Set the reference of the next motion, from which odometry's errors are learned as well."""
         self.anchor, self.learned_until = anchor, None
 
-    def predict(self, odometry: se2.Pose) -> se2.Pose:
+    def predict(self, odometry: Odometry) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
         return self.tracker.predict(odometry)
 
-    def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
-        """Set the base's pose in the map at `odometry`, regardless of the pose tracked so far."""
+    def move_to(self, pose: se2.Pose, odometry: Odometry) -> None:
+        """Set the base's pose in the map at a reading of odometry, regardless of the pose tracked so far."""
         self.tracker.move_to(pose, odometry)
         self.pose, self.kidnapped, self.untracked_scans = pose, True, []
         self.tentative, self.last_tracked = [], None
@@ -209,10 +216,10 @@ class SlamState:
         """Keyframes in the distance field, whose pose relative to the robot is well known; None for all of the map."""
         return None if self.frozen else self.local_field.inserted
 
-    def begin_part(self, pose: se2.Pose, odometry: se2.Pose, *, kidnapped: bool, expected: Expectation = LOST) -> None:
+    def begin_part(self, pose: se2.Pose, odometry: Odometry, *, kidnapped: bool, expected: Expectation = LOST) -> None:
         """Continue at a pose in a new part of the map, as the place in the map is not known.
 
-        odometry   pose of odometry at the same time
+        odometry   reading of odometry at the same time
         kidnapped  true if the robot may have been moved without odometry noticing
         expected   what is known before about the place
         """

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from drivers import se2
 from drivers.immutable import immutable
+from drivers.messages import Odometry
 
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalFieldState
@@ -21,13 +23,17 @@ class Anchor:
     keyframe    index of the keyframe
     relative    (3,) [x, y, heading] in the keyframe's frame, metres and radians
     covariance  (3, 3) of `relative`, in its own frame
-    odometry    (3,) odometry pose at the same time
+    odometry    reading of odometry at the same time
     """
 
     keyframe: int
     relative: se2.Pose
     covariance: Floats
-    odometry: se2.Pose
+    odometry: Odometry
+
+    def shifted(self, seconds: float) -> Anchor:
+        """Return the anchor with some seconds added to its stamp."""
+        return replace(self, odometry=replace(self.odometry, stamp=self.odometry.stamp + seconds))
 
 
 @immutable
@@ -48,3 +54,9 @@ class TrackingCheckpoint:
     kidnapped: bool
     kidnapped_keyframes: Sequence[int]
     learned_until: Anchor | None = None
+
+    def shifted(self, seconds: float) -> TrackingCheckpoint:
+        """Return the state with some seconds added to its stamps."""
+        tracker = None if self.tracker is None else self.tracker.shifted(seconds)
+        anchor, until = (one and one.shifted(seconds) for one in (self.anchor, self.learned_until))
+        return replace(self, tracker=tracker, anchor=anchor, learned_until=until)

@@ -39,6 +39,23 @@ def between_each(first, second):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def spaced_rows(last, poses, distance, per_radian):  # type: ignore[no-untyped-def]
+    """Return the rows of poses (n, 3) each of which is at least a distance from the one before, the first from `last`.
+
+    A radian counts for `per_radian` metres.
+    """
+    rows, count = np.empty(len(poses), np.int64), 0
+    x, y, heading = last[0], last[1], last[2]
+    for k in range(len(poses)):
+        turn = abs(_wrapped(poses[k, 2] - heading))
+        if math.hypot(poses[k, 0] - x, poses[k, 1] - y) + per_radian * turn >= distance:
+            x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+            rows[count] = k
+            count += 1
+    return rows[:count]
+
+
+@compiled
 def unwrapped(angles):  # type: ignore[no-untyped-def]
     """Return angles (n,), radians, without steps of more than half a turn, as `np.unwrap` does."""
     result, correction = angles.copy(), 0.0

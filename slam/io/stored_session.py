@@ -72,5 +72,10 @@ class StoredSession:
         """Return all processed scans with their poses relative to keyframes."""
         slam_state = self.slam_state
         return build_scan_history(
-            self.scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes, self.starts
+            self.scans,
+            slam_state.trajectory,
+            slam_state.keyframe_stamps,
+            self.odometry,
+            slam_state.kidnapped_keyframes,
+            self.starts,
         )

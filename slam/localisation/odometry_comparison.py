@@ -19,7 +19,7 @@ from ..geometry.segments import Floats
 from ..geometry.significance import MOST
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import Prediction
-from ..odometry.error_model import OdometryModel
+from ..odometry.dead_reckoning import DeadReckoning
 from ..odometry.history import wheel_travel
 from ..odometry.velocity import STEADY_SECONDS, VelocityFilter
 from .prediction_error import PREDICTION_SIGMAS
@@ -91,7 +91,7 @@ class OdometryComparison:
     def add(
         self,
         compared: ComparedFix,
-        model: OdometryModel,
+        odometry: DeadReckoning,
         prediction_error: Floats,
         is_certain: Callable[[Prediction], bool],
     ) -> None:
@@ -102,7 +102,8 @@ class OdometryComparison:
         the motion. After STEADY_SECONDS of that, odometry is used again: a robot may have any velocity by then. A
         contradiction counts if it is certain, and if the robot moves evenly by the scans.
 
-        prediction_error  (3, 3) covariance of predictions besides that of the `model`
+        odometry          that is compared
+        prediction_error  (3, 3) covariance of predictions besides that of odometry
         is_certain        returns True if a contradiction between the scan and a prediction by odometry is certain
         """
         fix = compared.fix
@@ -110,13 +111,12 @@ class OdometryComparison:
             self._begin(fix, compared.velocity)
             return
         self._seconds += compared.seconds
-        by_odometry, by_scans = self._start.odometry_motion(fix.odometry), se2.between(self._start.pose, fix.pose)
-        travel = max(wheel_travel(by_odometry), wheel_travel(by_scans))
-        if travel < COMPARED_TRAVEL:
+        motion, covariance = odometry.measure(self._start.odometry, fix.odometry)
+        by_scans = se2.between(self._start.pose, fix.pose)
+        if max(wheel_travel(motion), wheel_travel(by_scans)) < COMPARED_TRAVEL:
             return
-        motion = model.correct(by_odometry)
         gross = GROSS_SHARE * max(motion, by_scans, key=wheel_travel)
-        error = model.covariance(motion) + prediction_error
+        error = covariance + prediction_error
         if not _is_significant(gross, inverse(error)):
             return
         by_scan = np.asarray(inverse(compared.information + CONDITIONING))

@@ -8,14 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from drivers import se2
+from drivers.messages import Odometry
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction, information_of
-from ..odometry.error_model import OdometryModel
-from ..odometry.history import QUARTER_TURN, wheel_travel
+from ..odometry.dead_reckoning import DeadReckoning
+from ..odometry.history import wheel_travel
 from ..odometry.measurement_clock import MIN_PERIOD, MeasurementClock
 from ..odometry.velocity import MAX_VELOCITIES, STEADY_SECONDS, VelocityFilter
 from .followed_motion import Compare, FollowedMotion
@@ -34,21 +35,20 @@ class PosePredictor:
 
     While odometry is failing, each motion is predicted to be even, as without odometry.
 
-    model  of odometry's errors; another one may be set at any time
+    odometry  which predicts the motion
     """
 
-    def __init__(self, model: OdometryModel) -> None:
-        self.model = model
+    def __init__(self, odometry: DeadReckoning) -> None:
+        self._odometry = odometry
         self._fix: PoseFix | None = None
         self._reference: PoseFix | None = None  # from which odometry predicts
-        self._dead_reckoned: PoseFix | None = None  # the last fix, moved by odometry; see `advance`
         self._tentative: TentativePose | None = None  # of the last scan
         self._before_slip: PoseFix | None = None  # reference before the last slip
         self._since_slip = 0.0  # seconds
         self._interval = 0.0  # seconds between the last two scans
         self._since_fix: float | None = None  # seconds; None if no slip is possible
-        self._last_odometry: se2.Pose | None = None  # at the last scan
-        self._odometry_after_gap: se2.Pose | None = None  # at the first scan since the fix that showed something
+        self._last_odometry: Odometry | None = None  # at the last scan
+        self._odometry_after_gap: Odometry | None = None  # at the first scan since the fix that showed something
         self._clock, self._velocity = MeasurementClock(), VelocityFilter()
         self._prediction_error, self._slips = PredictionError(), SlipStatistics()
         self._comparison = OdometryComparison()
@@ -67,12 +67,12 @@ class PosePredictor:
     @property
     def measured(self) -> bool:
         """True if odometry measures the motion: there is odometry, and it is not failing."""
-        return self.model.measured and not self._comparison.failing
+        return self._odometry.model.measured and not self._comparison.failing
 
     @property
     def odometry_failing(self) -> bool:
         """True if there is odometry, but it is failing, so that the motion is predicted without it."""
-        return self.model.measured and self._comparison.failing
+        return self._odometry.model.measured and self._comparison.failing
 
     def stop_odometry(self) -> None:
         """Take odometry as failing, as its readings have stopped, until it agrees with the scans again."""
@@ -88,14 +88,14 @@ class PosePredictor:
         """Copy of the velocity at the last fix."""
         return self._velocity.copy()
 
-    def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
-        """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
-        self._fix = self._reference = self._dead_reckoned = PoseFix(pose, odometry)
+    def move_to(self, pose: se2.Pose, odometry: Odometry) -> None:
+        """Set the fix: the base is at `pose` in the map at a reading of odometry."""
+        self._fix = self._reference = PoseFix(pose, odometry)
         self._since_fix = None  # no slip is possible before the next fix
         self._tentative = self._before_slip = self._odometry_after_gap = self._followed = None
         self._comparison.restart()
 
-    def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
+    def start_again(self, pose: se2.Pose, odometry: Odometry) -> None:
         """Set the fix in a new part of the map, which may begin with scans that were tracked before."""
         self.move_to(pose, odometry)
         self._clock.start_again()
@@ -113,11 +113,11 @@ class PosePredictor:
             return False
         return NORMAL_LIMIT * float(self._velocity.deviations(self._since_fix)[:2].max()) > MAX_SEARCH_SHIFT
 
-    def stood(self, odometry: se2.Pose) -> bool:
-        """Return True if the wheels hardly moved from the last fix to a pose of odometry: the robot may be carried."""
+    def stood(self, odometry: Odometry) -> bool:
+        """Return True if the wheels hardly moved from the last fix to a later reading: the robot may be carried."""
         if self._fix is None or not self.measured:
             return False
-        return bool(wheel_travel(self._fix.odometry_motion(odometry)) <= MAX_TRAVEL)
+        return bool(wheel_travel(self._odometry.motion(self._fix.odometry, odometry)) <= MAX_TRAVEL)
 
     @property
     def stood_in_gap(self) -> bool:
@@ -131,7 +131,7 @@ class PosePredictor:
         self._comparison.follow(se2.between(self._fix.pose, pose), self._fix)
         self._followed = None if self._followed is None else self._followed.moved(self._fix.pose, pose)
         covariance = np.zeros((3, 3)) if covariance is None else covariance
-        self._fix = self._reference = self._dead_reckoned = PoseFix(pose, self._fix.odometry, covariance)
+        self._fix = self._reference = PoseFix(pose, self._fix.odometry, covariance)
 
     def state(self, small_objects: SmallObjects, last_score: float) -> TrackerState | None:
         """Return the state to be saved, with that of the tracker itself; None before the first scan."""
@@ -146,51 +146,25 @@ class PosePredictor:
 
     def restore(self, state: TrackerState) -> None:
         """Continue from a saved state."""
-        self._fix, self._reference, self._dead_reckoned = state.fix, state.reference, state.fix
+        self._fix, self._reference = state.fix, state.reference
         self._since_fix, self._clock = state.since_fix, MeasurementClock(state.scan_stamp, state.intervals)
         self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
         self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
         self._slips, self._comparison = replace(state.slips), OdometryComparison(state.contradicted_for)
         self._followed = None
 
-    def extrapolate(self, odometry: se2.Pose) -> se2.Pose:
+    def extrapolate(self, odometry: Odometry) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
-        if self._dead_reckoned is None:
+        if self._fix is None:
             return np.zeros(3)
-        return se2.compose(self._dead_reckoned.pose, self.model.correct(self._dead_reckoned.odometry_motion(odometry)))
+        return se2.compose(self._fix.pose, self._odometry.motion(self._fix.odometry, odometry))
 
-    def advance(self, odometry: se2.Pose) -> None:
-        """Move the poses from which odometry predicts to where it leads at a reading, with their uncertainty.
-
-        The systematic errors of a motion depend on its turn, which two poses of odometry tell up to full turns only.
-        """
-        if self._reference is None or self._dead_reckoned is None or not self.measured:
-            return
-        self._reference, self._dead_reckoned = (
-            self._moved(fix, odometry) for fix in (self._reference, self._dead_reckoned)
-        )
-        self._comparison.restart()
-
-    def _advance_after_large_turn(self) -> None:
-        """Move these poses to the last scan if the robot has turned by more than a quarter up to there."""
-        if self._reference is None or self._last_odometry is None:
-            return
-        if abs(self._reference.odometry_motion(self._last_odometry)[2]) > QUARTER_TURN:
-            self.advance(self._last_odometry)
-
-    def _moved(self, fix: PoseFix, odometry: se2.Pose) -> PoseFix:
-        """Return an earlier pose moved as odometry says."""
-        motion = self.model.correct(fix.odometry_motion(odometry))
-        covariance = self.model.covariance(motion) + covariance_after(fix.covariance, motion)
-        return PoseFix(se2.compose(fix.pose, motion), odometry, covariance)
-
-    def predict(self, stamp: float, odometry: se2.Pose) -> Predictions:
-        """Return the predictions of the pose at a scan with this stamp and odometry."""
+    def predict(self, odometry: Odometry) -> Predictions:
+        """Return the predictions of the pose at a scan, given the reading of odometry at its stamp."""
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
-        self._advance_after_large_turn()
         self._last_odometry = odometry
-        self._interval = interval = self._clock.interval(stamp)
+        self._interval = interval = self._clock.interval(odometry.stamp)
         self._since_fix = None if self._since_fix is None else self._since_fix + interval
         usual, slip = self._usual_and_slip(odometry, interval)
         followed = self._followed = None if self._followed is None else self._followed.after(interval)
@@ -224,7 +198,7 @@ class PosePredictor:
     def update(
         self,
         result: TrackingResult,
-        odometry: se2.Pose,
+        odometry: Odometry,
         tentative: TentativePose | None,
         is_certain: Callable[[Prediction], bool],
         compare: Compare,
@@ -255,17 +229,17 @@ class PosePredictor:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         if result.slipped and self.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
-        if result.slipped or not self.model.measured:  # odometry continues from here
+        if result.slipped or not self._odometry.model.measured:  # odometry continues from here
             self._reference = fix
-        if self.model.measured:
+        if self._odometry.model.measured:
             # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
             seconds = (self._since_fix or 0.0) if self._interval <= STEADY_SECONDS else 0.0
             compared = ComparedFix(fix, result.registration.total_information, self._velocity, seconds)
-            self._comparison.add(compared, self.model, self._prediction_error.covariance, is_certain)
+            self._comparison.add(compared, self._odometry, self._prediction_error.covariance, is_certain)
             if before is not None and before.followed is not None:
                 self._comparison.add_slip(before.followed.duration)
         self._slips.add(slipped=result.slipped)
-        self._fix = self._dead_reckoned = fix
+        self._fix = fix
         self._since_fix, self._odometry_after_gap = 0.0, None
         self._followed = self._following(compare) if self.measured and not result.slipped else None
 
@@ -277,7 +251,7 @@ class PosePredictor:
             return FollowedMotion.begin(self._fix.pose, self._velocity)
         return followed
 
-    def _usual_and_slip(self, odometry: se2.Pose, interval: float) -> tuple[Prediction, Prediction]:
+    def _usual_and_slip(self, odometry: Odometry, interval: float) -> tuple[Prediction, Prediction]:
         """Return the prediction by odometry and that after its failure, `interval` seconds after the last scan."""
         assert self._fix is not None
         assert self._reference is not None
@@ -286,7 +260,7 @@ class PosePredictor:
             even, uneven = (self._even_motion(self._fix.pose, seconds, cost) for cost in (0.0, SlipStatistics().cost))
             return self._unmeasured(even, uneven, seconds, seconds)
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, self._slips.cost)
-        if not self.model.measured:
+        if not self._odometry.model.measured:
             usual = self._by_odometry(self._reference, odometry, None)
             return self._unmeasured(usual, slip, self._since_fix or 0.0, interval)
         inertia = slip if self._since_fix is not None else None
@@ -305,12 +279,11 @@ class PosePredictor:
         return replace(even, search_sigmas=sigmas[1:]), replace(uneven, information=information)
 
     def _by_odometry(
-        self, reference: PoseFix, odometry: se2.Pose, inertia: Prediction | None, cost: float = 0.0
+        self, reference: PoseFix, odometry: Odometry, inertia: Prediction | None, cost: float = 0.0
     ) -> Prediction:
         """Return the prediction if the robot has moved from the reference as odometry says."""
-        measured = reference.odometry_motion(odometry)
-        motion = self.model.correct(measured)
-        covariance = self.model.covariance(measured) + self._prediction_error.covariance
+        motion, covariance = self._odometry.measure(reference.odometry, odometry)
+        covariance = covariance + self._prediction_error.covariance
         if reference.covariance.any():
             covariance += covariance_after(reference.covariance, motion)
         return Prediction(se2.compose(reference.pose, motion), inverse(covariance), cost, inertia=inertia)

@@ -21,13 +21,14 @@ from functools import partial
 import numpy as np
 
 from drivers import se2
+from drivers.messages import Odometry
 
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import MIN_WALL_LENGTH
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, information_of
 from ..matching.scan_features import ScanFeatures
-from ..odometry.error_model import OdometryModel
+from ..odometry.dead_reckoning import DeadReckoning
 from ..odometry.velocity import VelocityFilter
 from .followed_motion import Compare
 from .match_target import MatchTarget, ScanMatch
@@ -51,26 +52,22 @@ MAX_UNTRACKED_SCANS = 4
 class Tracker:
     """Pose tracking from the last fix on."""
 
-    def __init__(self, model: OdometryModel) -> None:
-        self._predictor = PosePredictor(model)
+    def __init__(self, odometry: DeadReckoning) -> None:
+        self._odometry, self._predictor = odometry, PosePredictor(odometry)
         self._untracked_in_a_row = 0
         self._carried = False  # since the fix, although the wheels stood
         self._last_score = 0.0  # of the last tracked scan
         self._views, self._small_objects = ViewComparison(), SmallObjects()
 
-    def move_to(self, pose: se2.Pose, odometry: se2.Pose) -> None:
-        """Set the fix: the base is at `pose` in the map when odometry is at `odometry`."""
+    def move_to(self, pose: se2.Pose, odometry: Odometry) -> None:
+        """Set the fix: the base is at `pose` in the map at a reading of odometry."""
         self._predictor.move_to(pose, odometry)
         self._untracked_in_a_row, self._carried = 0, False
 
-    def start_again(self, pose: se2.Pose, odometry: se2.Pose) -> None:
+    def start_again(self, pose: se2.Pose, odometry: Odometry) -> None:
         """Set the fix in a part of the map that shows nothing yet."""
         self._predictor.start_again(pose, odometry)
         self._untracked_in_a_row, self._carried, self._last_score = 0, False, 0.0
-
-    def replace_model(self, model: OdometryModel) -> None:
-        """Use another error model of odometry from now on."""
-        self._predictor.model = model
 
     @property
     def matched_pose(self) -> se2.Pose | None:
@@ -98,11 +95,7 @@ class Tracker:
         """Replace the pose of the last fix, and predict from it from now on; for the covariance see `PoseFix`."""
         self._predictor.correct(pose, covariance)
 
-    def advance(self, odometry: se2.Pose) -> None:
-        """Let odometry predict from one of its poses on, so that no predicted motion turns by more than half a turn."""
-        self._predictor.advance(odometry)
-
-    def predict(self, odometry: se2.Pose) -> se2.Pose:
+    def predict(self, odometry: Odometry) -> se2.Pose:
         """Return the base's pose in the map, by odometry alone since the last fix."""
         return self._predictor.extrapolate(odometry)
 
@@ -143,8 +136,8 @@ class Tracker:
         """
         return self._predictor.is_after_gap(taken, MAX_UNTRACKED_SCANS)
 
-    def track(self, stamp: float, odometry: se2.Pose, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
-        """Estimate the base's pose at a scan taken when odometry was at `odometry`.
+    def track(self, odometry: Odometry, scan: ScanFeatures, target: MatchTarget) -> TrackingResult:
+        """Estimate the base's pose at a scan, given the reading of odometry at its stamp.
 
         The robot counts as carried if a scan fits worse than the one before and shows another view, or if it fits
         poorly and against odometry and the view has changed recently: it fits here by chance then. It was carried, too,
@@ -152,7 +145,7 @@ class Tracker:
         reach. More poses are within reach of the next scans, although the robot stands by then: one of them may fit by
         chance, so only the one that odometry predicts counts.
         """
-        predictions = self._predictor.predict(stamp, odometry)
+        predictions = self._predictor.predict(odometry)
         points = self._small_objects.weighted_points(scan)
         match = self._match(scan, points, predictions, target)
         alone = self._match_to_last_metres(match, predictions.all, scan, points, target)
@@ -167,7 +160,7 @@ class Tracker:
         failed = status is TrackingStatus.FAILED
         differs = self._views.add(
             View(odometry, scan.points.xy),
-            self._predictor.model,
+            self._odometry,
             suspicious=suspicious and self.measured,
             fits_nowhere=failed,
         )
@@ -213,7 +206,7 @@ class Tracker:
         self,
         result: TrackingResult,
         evidence: SlipEvidence,
-        odometry: se2.Pose,
+        odometry: Odometry,
         is_certain: Callable[[Prediction], bool],
         compare: Compare,
     ) -> None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import field, replace
 from enum import Enum
 
 import numpy as np
 
 from drivers import se2
 from drivers.immutable import immutable
+from drivers.messages import Odometry
 
 from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.pose_steps import pose_error
@@ -88,19 +89,19 @@ class TrackingResult:
 
 @immutable
 class PoseFix:
-    """Pose of the base in the map, and the odometry pose at the same time.
+    """Pose of the base in the map, and the reading of odometry at the same time.
 
     covariance  (3, 3) of the pose in the map, in its own frame; zero after a keyframe, as the covariances of the
                 landmarks around it are relative to this keyframe
     """
 
     pose: se2.Pose
-    odometry: se2.Pose
+    odometry: Odometry
     covariance: Floats = field(default_factory=lambda: np.zeros((3, 3)))
 
-    def odometry_motion(self, odometry: se2.Pose) -> se2.Pose:
-        """Return the motion [x, y, heading] since then according to odometry."""
-        return se2.between(self.odometry, odometry)
+    def shifted(self, seconds: float) -> PoseFix:
+        """Return the fix with some seconds added to its stamp."""
+        return replace(self, odometry=replace(self.odometry, stamp=self.odometry.stamp + seconds))
 
 
 @immutable
@@ -135,6 +136,12 @@ class TrackerState:
     small_objects: SmallObjects
     contradicted_for: float
     last_score: float
+
+    def shifted(self, seconds: float) -> TrackerState:
+        """Return the state with some seconds added to its stamps."""
+        stamp = None if self.scan_stamp is None else self.scan_stamp + seconds
+        fix, reference = self.fix.shifted(seconds), self.reference.shifted(seconds)
+        return replace(self, fix=fix, reference=reference, scan_stamp=stamp)
 
     @classmethod
     def placed(cls, fix: PoseFix) -> TrackerState:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.compiled import compiled, inlined
 from drivers.immutable import immutable
+from drivers.messages import Odometry
 from features.rays import MISSING_STEPS
 
 from ..geometry.angles import wrap_angle
@@ -27,7 +28,7 @@ from ..geometry.segments import Floats
 from ..geometry.significance import MOST
 from ..geometry.surroundings import INDOOR_RANGE
 from ..matching.scan_points import subsample
-from ..odometry.error_model import OdometryModel
+from ..odometry.dead_reckoning import DeadReckoning
 from ..odometry.history import wheel_travel
 
 # (n, 3) errors [x, y, heading] of odometry between two scans that are tried (metres, metres, radians).
@@ -61,9 +62,9 @@ VIEW_CHANGE_MEMORY = INDOOR_RANGE
 
 @immutable
 class View:
-    """Points (p, 2) of a scan in the base's frame, and the odometry pose at the scan."""
+    """Points (p, 2) of a scan in the base's frame, and the reading of odometry at the scan."""
 
-    odometry: se2.Pose
+    odometry: Odometry
     points: Floats
 
     @property
@@ -105,7 +106,7 @@ class ViewComparison:
 
     def __init__(self) -> None:
         self._views: list[View] = []  # the last two with enough points for a comparison, the last one first
-        self._odometry: se2.Pose | None = None  # at the last scan
+        self._last: Odometry | None = None  # at the last scan
         self._travel_since_change = np.inf  # metres
 
     @property
@@ -113,31 +114,31 @@ class ViewComparison:
         """True if the view has changed abruptly within the last metres."""
         return bool(self._travel_since_change < VIEW_CHANGE_MEMORY)
 
-    def add(self, view: View, model: OdometryModel, *, suspicious: bool, fits_nowhere: bool) -> bool:
+    def add(self, view: View, odometry: DeadReckoning, *, suspicious: bool, fits_nowhere: bool) -> bool:
         """Add the view of a scan. Return True if the scan is suspicious and shows another place than the last one.
 
         No scan is suspicious if odometry does not measure the motion: the robot may have driven in between.
 
         fits_nowhere  True if a suspicious scan fits at no pose that the robot can have reached
         """
-        if self._odometry is not None:
-            self._travel_since_change += float(wheel_travel(se2.between(self._odometry, view.odometry)))
-        differs = suspicious and self._differs(view, model, 2 if fits_nowhere else 1)
+        if self._last is not None:
+            self._travel_since_change += float(wheel_travel(se2.between(self._last.pose, view.odometry.pose)))
+        differs = suspicious and self._differs(view, odometry, 2 if fits_nowhere else 1)
         if differs:
             self._travel_since_change = 0.0
-        self._odometry = view.odometry
+        self._last = view.odometry
         if view.comparable:
             self._views = [view, *self._views[:1]]
         return differs
 
-    def _differs(self, view: View, model: OdometryModel, count: int) -> bool:
+    def _differs(self, view: View, odometry: DeadReckoning, count: int) -> bool:
         """Return True if a view shows another place than one of the last `count`, or if it is the first one.
 
         False without enough points for a comparison.
         """
         if not self._views:
-            return self._odometry is None
-        motions = [model.correct(se2.between(other.odometry, view.odometry)) for other in self._views[:count]]
+            return self._last is None
+        motions = [odometry.motion(other.odometry, view.odometry) for other in self._views[:count]]
         return any(other.differs_from(view, motion) for other, motion in zip(self._views, motions, strict=False))
 
 

@@ -13,9 +13,10 @@ from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import CORRIDOR_LENGTH
-from .history import QUARTER_TURN, wheel_travel
+from .history import wheel_travel
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
 from .systematic_errors import MIN_MOTION_TRAVEL, PERFECT, SystematicErrors
+from .way_errors import way_covariance
 
 # Latest motions from which the random errors are estimated. Origin: chosen, some 60 m of driving; not measured.
 RANDOM_ERROR_SAMPLES = 200
@@ -145,31 +146,9 @@ class OdometryModel:
         """Return measured motions (..., 3) as motions of the base, without their systematic errors."""
         return self._systematic.correct(motion)
 
-    def correct_near(self, motion: se2.Pose, expected: se2.Pose) -> se2.Pose:
-        """Return measured motions (..., 3) without their systematic errors, which depend on the turn.
-
-        Where the turn is not certain, see `correct_otherwise`, it is the one that leads closest to the heading of an
-        `expected` motion (..., 3), such as that of the scans.
-        """
-        best = self.correct(motion)
-        if not np.any(np.abs(motion[..., 2]) > QUARTER_TURN):
-            return best
-        for full_turns in (-1, 1):
-            other = self.correct_otherwise(motion, full_turns)
-            error, of_best = (np.abs(se2.wrap(one[..., 2] - expected[..., 2])) for one in (other, best))
-            best = np.where((error < of_best)[..., None], other, best)
-        return best
-
-    def correct_otherwise(self, motion: se2.Pose, full_turns: int) -> se2.Pose:
-        """Return measured motions (..., 3) without their systematic errors if they turned by some full turns more.
-
-        Two poses of odometry tell a turn up to full turns only; with -1 it is the turn in the other direction. Turns of
-        up to QUARTER_TURN are certain, and corrected as they are.
-        """
-        more = np.zeros(motion.shape)
-        turn = motion[..., 2]
-        more[..., 2] = np.where(np.abs(turn) > QUARTER_TURN, 2.0 * np.pi * full_turns * np.sign(turn), 0.0)
-        return self.correct(motion + more)
+    def correct_way(self, poses: Floats) -> Floats:
+        """Return the poses (n, 3) of a way without systematic errors, see `SystematicErrors.correct_way`."""
+        return self._systematic.correct_way(poses)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
@@ -184,28 +163,15 @@ class OdometryModel:
         return np.array([0.0, 0.0, math.sqrt(PARABOLA_VARIANCE * float(self.variances(np.array(travel))[1]))])
 
     def covariance(self, motion: se2.Pose) -> Floats:
-        """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame.
+        """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame."""
+        return self.way_covariance(np.stack([np.zeros(3), motion]))
 
-        An error of heading that is made at a share s of the way turns the rest of the motion m. As a random walk it
-        moves the end by the integral of (1 - s) |m| across the motion: the variance is |m|^2 / 3 times that of the
-        heading.
-        """
-        travel = float(wheel_travel(motion))
-        along, across, heading, turning = self._rates.tolist()
-        position, reading = (self._floors**2).tolist()
-        ahead, left, turn = motion.tolist()
-        c, s = math.cos(turn), math.sin(turn)
-        x, y = c * ahead + s * left, c * left - s * ahead  # in the end frame
-        rotation = heading * travel + turning * abs(turn)
-        bending, mixed = rotation / 3.0, 0.5 * rotation
-        random = np.array(
-            [
-                [along * travel**2 + position + bending * y * y, -bending * x * y, -mixed * y],
-                [-bending * x * y, across * travel**2 + position + bending * x * x, mixed * x],
-                [-mixed * y, mixed * x, rotation + reading],
-            ]
+    def way_covariance(self, way: Floats) -> Floats:
+        """Return (3, 3) the covariance of the end of a corrected way (n, 3) relative to its begin, in its end frame."""
+        systematic = self._systematic
+        return np.asarray(
+            way_covariance(way, self._rates, self._floors, systematic.variances, systematic.turning, CORRELATION_LENGTH)
         )
-        return np.asarray(random + self._systematic.covariance(motion))
 
     def limit_information(self, information: Floats, travel: float) -> Floats:
         """Return the information (3, 3) of a pose from the points of a scan, limited by the motion during its sweep.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -22,6 +22,9 @@ MAX_EXTENSION = 2.0
 # Radians: a turn between two poses of odometry is certain up to this. One of more than half a turn seems to be smaller
 # and in the other direction. Origin: definition, half of that.
 QUARTER_TURN = 0.5 * math.pi
+# Metres of wheel travel between neighbouring nodes of a way, at least. Origin: definition, motions that are shorter are
+# mostly noise.
+NODE_TRAVEL = 0.05
 # Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
 # Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
 TRAVEL_PER_RADIAN = 0.25
@@ -42,6 +45,7 @@ class OdometryHistory:
     def __init__(self) -> None:
         self._stamps, self._poses = GrowingArray(()), GrowingArray((3,))
         self._stamp_error, self._estimated_at = 0.0, 0  # and the number of readings when it was estimated
+        self._nodes, self._passed = GrowingArray((4,)), 0  # see `way`, and the readings before them
 
     @classmethod
     def from_arrays(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
@@ -50,6 +54,14 @@ class OdometryHistory:
         history._stamps.replace(stamps)
         history._poses.replace(poses)
         return history
+
+    @classmethod
+    def joined(cls, histories: Sequence[OdometryHistory]) -> OdometryHistory:
+        """Return the readings of several histories, one after the other in time order, in one."""
+        if len(histories) == 1:
+            return histories[0]
+        stamps, poses = [history.stamps for history in histories], [history.poses for history in histories]
+        return cls.from_arrays(np.concatenate([[], *stamps]), np.concatenate([np.zeros((0, 3)), *poses]))
 
     def copy(self) -> OdometryHistory:
         """Return a copy that later readings do not change; it shares the present ones."""
@@ -87,6 +99,7 @@ class OdometryHistory:
             poses.insert(0, poses[0])
         self._stamps.replace([*stamps, *self._stamps.rows])
         self._poses.replace([*poses, *self._poses.rows])
+        self._nodes, self._passed = GrowingArray((4,)), 0
 
     @property
     def earliest(self) -> float:
@@ -127,20 +140,30 @@ class OdometryHistory:
         first, last = bisect.bisect_left(self.stamps, begin), bisect.bisect_left(self.stamps, end) + 1
         return self.stamps[first:last], self._poses.rows[first:last].copy()
 
-    def quarter_turns(self, begin: float, end: float) -> Floats:
-        """Return (n, 3) the poses between two stamps at which odometry has turned by a quarter since the one before.
+    def way(self, begin: Odometry, end: Odometry) -> Floats:
+        """Return (n, 3) the poses along the way from one reading to another, both included.
 
-        The first quarter begins at the first reading from `begin` (seconds) on. Two poses tell the turn between them up
-        to full turns only; these poses tell it all.
+        In between are readings that are NODE_TRAVEL apart at least, so that jitter is not taken for travel.
         """
-        _, poses = self.readings_between(begin, end)
-        headings, rows = np.unwrap(poses[:-1, 2]).tolist(), list[int]()
-        last = headings[0] if headings else 0.0
-        for row, heading in enumerate(headings):
-            if abs(heading - last) >= QUARTER_TURN:
-                rows.append(row)
-                last = heading
-        return poses[rows]
+        nodes = self._nodes_so_far()
+        stamps = nodes[:, 0]
+        first, last = bisect.bisect_right(stamps, begin.stamp), bisect.bisect_left(stamps, end.stamp)
+        poses = np.empty((max(last - first, 0) + 2, 3))
+        poses[0], poses[1:-1], poses[-1] = begin.pose, nodes[first:last, 1:], end.pose
+        return poses
+
+    def _nodes_so_far(self) -> Floats:
+        """Return (m, 4) stamps and poses of the nodes of the way; the last reading, which may change, is none yet."""
+        count = len(self) - 1
+        if self._passed < count:
+            from ..geometry.pose_arrays import spaced_rows  # compiled code, which reports do without
+
+            last = self._nodes.rows[-1, 1:] if len(self._nodes) else self._poses.rows[0]
+            poses = self._poses.rows[self._passed : count]
+            for row in spaced_rows(last, poses, NODE_TRAVEL, TRAVEL_PER_RADIAN).tolist():
+                self._nodes.append([self._stamps.rows[self._passed + row], *poses[row]])
+            self._passed = count
+        return self._nodes.rows
 
     def blocks(self) -> Iterator[tuple[Floats, Floats]]:
         """Yield stamps (n,) and poses (n, 3) of all readings, up to BLOCK at a time."""

@@ -23,6 +23,7 @@ from ..geometry.angles import wrap_angle
 from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats
+from .way_errors import corrected_motions, corrected_way
 
 # Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
 # error. Origin: chosen, above the accuracy of registration; not measured.
@@ -82,30 +83,15 @@ class SystematicErrors:
     def correct(self, motion: se2.Pose) -> se2.Pose:
         """Return measured motions (..., 3) of odometry's frame as motions of the base, without systematic errors."""
         rows = np.ascontiguousarray(motion).reshape(-1, 3)
-        return np.asarray(_corrected(rows, self.length, self.turning, self.veer, self.frame)).reshape(motion.shape)
+        corrected = corrected_motions(rows, self.length, self.turning, self.veer, self.frame)
+        return np.asarray(corrected).reshape(motion.shape)
 
-    def covariance(self, motion: se2.Pose) -> Floats:
-        """Return (3, 3) the covariance of a corrected motion [x, y, heading] by the errors left, in its end frame.
+    def correct_way(self, poses: Floats) -> Floats:
+        """Return the poses (n, 3) of a way without systematic errors, relative to the first, with unwrapped headings.
 
-        An error of heading grows in proportion to the way, and moves the end by |m| / 2 times that of the heading
-        across the motion m. An error e of the frame's position moves the end by (R - I) e, with the rotation R by the
-        negative turn.
+        The errors are corrected from pose to pose.
         """
-        ahead, left, turn = motion.tolist()
-        c, s = math.cos(turn), math.sin(turn)
-        x, y = c * ahead + s * left, c * left - s * ahead  # in the end frame
-        length, turning, veering, frame_x, frame_y, skew = self.variances.tolist()
-        of_heading = turning * turn**2 + veering * ahead**2
-        across, mixed = of_heading / 4.0 + skew, 0.5 * of_heading
-        c -= 1.0
-        xy = (length - across) * x * y + c * s * (frame_y - frame_x)
-        return np.array(
-            [
-                [length * x * x + across * y * y + c * c * frame_x + s * s * frame_y, xy, -mixed * y],
-                [xy, length * y * y + across * x * x + s * s * frame_x + c * c * frame_y, mixed * x],
-                [-mixed * y, mixed * x, of_heading],
-            ]
-        )
+        return np.asarray(corrected_way(poses, self.length, self.turning, self.veer, self.frame))
 
 
 @compiled
@@ -116,24 +102,6 @@ def is_turn(measured, registered):  # type: ignore[no-untyped-def]
     turning estimated from these would be zero; gross errors of registration look like turns, too.
     """
     return min(abs(measured), abs(registered)) > MAX_STRAIGHT_TURN
-
-
-@compiled
-def _corrected(motions, length, turning, veer, frame):  # type: ignore[no-untyped-def]
-    """Return motions (n, 3) without systematic errors: first those of the wheels, then that of odometry's frame."""
-    corrected = np.empty(motions.shape)
-    for k in range(len(motions)):
-        ahead, left, before = motions[k, 0], motions[k, 1], motions[k, 2]
-        turn = turning * before + veer * ahead
-        # The chord of an arc points ahead by half its turn.
-        bend = 0.5 * (turn - before) + frame[2]
-        c, s = length * math.cos(bend), length * math.sin(bend)
-        corrected[k, 0], corrected[k, 1] = c * ahead - s * left, s * ahead + c * left
-        c, s = math.cos(turn), math.sin(turn)
-        corrected[k, 0] += frame[0] - c * frame[0] + s * frame[1]
-        corrected[k, 1] += frame[1] - s * frame[0] - c * frame[1]
-        corrected[k, 2] = wrap_angle(turn)
-    return corrected
 
 
 @compiled

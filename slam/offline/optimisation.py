@@ -59,7 +59,7 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     keyframes = history.keyframe_scans
     refined.mapper.recompute_pose_covariances()
     last = session.scans[-1]
-    slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.odometry), keyframes)
+    slam_state.replace_map(refined.mapper, refined.trajectory, PoseFix(refined.poses[-1], last.reading), keyframes)
     summary = refined.summary | _changes(before, refined.mapper)
     publisher.publish_keyframes(refined.mapper, keyframes, session.noise.sigma_range)
     publisher.publish_map(last.stamp, refined.mapper)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,21 +13,18 @@ from drivers.messages import Odometry, Scan
 from features import LearnedNoise
 
 from ..config import Config
-from ..geometry.segments import CornerPoints, Floats, Segments
+from ..geometry.segments import CornerPoints, Segments
 from ..mapping.trajectory_builder import SAME_STAMP
 from ..matching.scan_features import ScanFeatures
 from ..matching.scan_points import ScanPoints
 from ..odometry.error_model import OdometryModel
-from ..odometry.history import QUARTER_TURN, OdometryHistory
+from ..odometry.history import OdometryHistory
 from ..odometry.measurement_clock import USUAL_PERIOD
-from ..odometry.velocity import MAX_VELOCITIES, VelocityFilter
+from ..odometry.velocity import VelocityFilter
 from .deskew import sweep_middle
 from .lidar_features import LidarFeatures, joined
 from .scan_queue import ScanPair, ScanQueue
 
-# Seconds between two scans up to which their odometry tells the turn in between: at twice the standard deviation of its
-# velocity, the base turns by half a turn in this time. Origin: definition.
-TURN_SECONDS = QUARTER_TURN / float(MAX_VELOCITIES[2])
 # Features of an empty scan. Origin: definition.
 NO_FEATURES = ScanFeatures(
     Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2))),
@@ -47,7 +44,6 @@ class ProcessedScan:
     features  segments, corners and points in the base's frame
     travel    metres of wheel travel from the middle of the sweep to its ends
     measured  False if odometry was missing or failing, so that an even motion is assumed to have led to the scan
-    turns     (n, 3) poses of odometry since the scan before, each a quarter turn after the one before; mostly none
     """
 
     stamp: float
@@ -55,7 +51,11 @@ class ProcessedScan:
     features: ScanFeatures
     travel: float = 0.0
     measured: bool = True
-    turns: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+    @property
+    def reading(self) -> Odometry:
+        """Reading of odometry at the stamp."""
+        return Odometry(self.stamp, self.odometry)
 
 
 class Preprocessor:
@@ -157,11 +157,8 @@ class Preprocessor:
             second = self._second.extract(pair.second, odometry, odometry_model)
             features = joined(features, second.moved_to(deskewed, odometry_model).in_base_frame(odometry_model))
             self.joined_scans += 1
-        before, self._latest = self._latest, max(deskewed.stamp, self._latest + SAME_STAMP)
-        turns = np.zeros((0, 3))
-        if velocity is None and self._latest - before > TURN_SECONDS:
-            turns = self.odometry.quarter_turns(before, self._latest)
-        return ProcessedScan(self._latest, deskewed.odometry, features, travel, velocity is None, turns)
+        self._latest = max(deskewed.stamp, self._latest + SAME_STAMP)
+        return ProcessedScan(self._latest, deskewed.odometry, features, travel, velocity is None)
 
     def _even_motion(self, pair: ScanPair, velocity: VelocityFilter) -> OdometryHistory:
         """Return readings of a robot that moves evenly during the sweeps, from the pose of odometry in the middle."""

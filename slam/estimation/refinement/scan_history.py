@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.immutable import immutable
 
-from ...geometry.pose_covariance import covariance_after
 from ...geometry.segments import Floats, Integers
 from ...mapping.trajectory_builder import TrajectoryBuilder
+from ...odometry.dead_reckoning import DeadReckoning
 from ...odometry.error_model import OdometryModel
-from ...odometry.history import QUARTER_TURN
+from ...odometry.history import OdometryHistory
 from ...preprocessing.preprocessor import ProcessedScan
 from ...preprocessing.scan_sequence import ScanSequence
 from ..keyframe_motions import UNMEASURED_MOTION_SIGMAS
@@ -58,6 +58,7 @@ class ScanHistory:
     own_keyframes  (n,) keyframe to which each scan's pose is relative
     relative       (n, 3) pose of each scan relative to its own keyframe
     informations   (n, 3, 3) of the online matches, in the scans' own frames; zeros if a scan was not matched
+    readings       of odometry, those of all its segments
     kidnapped      rows of scans to which odometry does not lead: after kidnapping, or first of an odometry segment
     """
 
@@ -66,6 +67,7 @@ class ScanHistory:
     own_keyframes: Integers
     relative: Floats
     informations: Floats
+    readings: OdometryHistory
     kidnapped: frozenset[int]
 
     def __len__(self) -> int:
@@ -117,28 +119,18 @@ class ScanHistory:
 
         `odometry_wrong` (n,) is true for scans at which odometry was found to be wrong: it had stopped, or jumped.
         """
-        motion = se2.between(*self.odometry[[row, to]])
         if any(row < kidnapped <= to for kidnapped in self.kidnapped):
-            return motion, np.diag(UNMEASURED_MOTION_SIGMAS**2)
+            return se2.between(*self.odometry[[row, to]]), np.diag(UNMEASURED_MOTION_SIGMAS**2)
         if odometry_wrong[row : to + 1].any():
-            return motion, np.diag(WRONG_ODOMETRY_SIGMAS**2)
-        # The turns of its parts are certain, unless scans are missing.
-        if abs(motion[2]) > QUARTER_TURN and to > row + 1:
-            middle = (row + to) // 2
-            first, of_first = self.motion(row, middle, model, odometry_wrong)
-            second, of_second = self.motion(middle, to, model, odometry_wrong)
-            return se2.compose(first, second), covariance_after(of_first, second) + of_second
-        corrected = model.correct(motion)
-        return corrected, model.covariance(corrected) + np.diag(_variances_of_turn(model, motion))
+            return se2.between(*self.odometry[[row, to]]), np.diag(WRONG_ODOMETRY_SIGMAS**2)
+        return DeadReckoning(model, self.readings).measure(self.scans[row].reading, self.scans[to].reading)
 
     def motions(self, model: OdometryModel) -> ScanMotions:
         """Return the motions from each scan to the next one."""
         odometry, unmeasured = self.odometry, np.zeros(max(len(self) - 1, 0), dtype=bool)
         unmeasured[[row - 1 for row in self.kidnapped if row]] = True
         measured = se2.between(odometry[:-1], odometry[1:])
-        corrected = model.correct(measured)
-        covariances = np.array([model.covariance(motion) for motion in corrected]).reshape(-1, 3, 3)
-        covariances[:, range(3), range(3)] += _variances_of_turn(model, measured)
+        corrected, covariances = DeadReckoning(model, self.readings).measure_each(self.stamps, odometry)
         return ScanMotions(measured, corrected, covariances, unmeasured)
 
     def correlated_drift(self, row: int, to: int, model: OdometryModel, odometry_wrong: NDArray[np.bool_]) -> Floats:
@@ -167,7 +159,8 @@ def build_scan_history(
     scans: Sequence[ProcessedScan],
     trajectory: TrajectoryBuilder,
     keyframe_stamps: Sequence[float],
-    kidnapped: Sequence[int],
+    odometry: Sequence[OdometryHistory],
+    kidnapped: Sequence[int] = (),
     starts: Sequence[int] = (),
 ) -> ScanHistory:
     """Collect the history of a session.
@@ -175,6 +168,7 @@ def build_scan_history(
     scans            n processed scans
     trajectory       poses of scans relative to keyframes; it may lack scans that were not tracked
     keyframe_stamps  k times of the keyframes
+    odometry         readings of each odometry segment
     kidnapped        keyframes at which the robot had been kidnapped
     starts           rows at which an odometry segment starts
 
@@ -182,7 +176,7 @@ def build_scan_history(
     odometry segment, from the next one.
     """
     scans = ScanSequence.of(scans)
-    odometry = scans.odometry
+    of_scans = scans.odometry
     stamps, own, relative, informations = trajectory.relative_poses()
     keyframes = np.zeros(len(keyframe_stamps), dtype=np.int64)
     all_own = np.zeros(len(scans), dtype=np.int64)
@@ -199,18 +193,14 @@ def build_scan_history(
             all_own[row], all_relative[row] = own[tracked], relative[tracked]
             all_informations[row] = informations[tracked]
             for before in waiting if last < 0 else ():
-                motion = se2.between(odometry[row], odometry[before])
+                motion = se2.between(of_scans[row], of_scans[before])
                 all_own[before], all_relative[before] = own[tracked], se2.compose(relative[tracked], motion)
             tracked, last = tracked + 1, row
         elif last < 0:
             waiting.append(row)
         else:
-            motion = se2.between(odometry[last], odometry[row])
+            motion = se2.between(of_scans[last], of_scans[row])
             all_own[row], all_relative[row] = all_own[last], se2.compose(all_relative[last], motion)
     jumps = frozenset([*(int(keyframes[k]) for k in kidnapped), *(row for row in starts if row)])
-    return ScanHistory(scans, keyframes, all_own, all_relative, all_informations, jumps)
-
-
-def _variances_of_turn(model: OdometryModel, motion: se2.Pose) -> Floats:
-    """Return the variances (..., 3) of measured motions (..., 3) as they may turn in the other direction."""
-    return np.asarray(se2.between(model.correct(motion), model.correct_otherwise(motion, -1)) ** 2)
+    readings = OdometryHistory.joined(odometry)
+    return ScanHistory(scans, keyframes, all_own, all_relative, all_informations, readings, jumps)

@@ -10,6 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
+from drivers.messages import Odometry
+
 from ...errors import MapError
 from ...estimation.tracking_checkpoint import Anchor, TrackingCheckpoint
 from ...graph.factors import GraphState
@@ -58,6 +60,7 @@ class Recording(Record):
 class _PoseFix(Record):
     pose: Pose
     odometry: Pose
+    odometry_stamp: Finite | None = None  # not written by earlier versions
     covariance: Covariance = to_matrix(np.zeros((3, 3)))
 
 
@@ -68,6 +71,7 @@ class AnchorRecord(Record):
     relative: Pose
     covariance: Covariance
     odometry: Pose
+    odometry_stamp: Finite | None = None  # not written by earlier versions
 
 
 _Speed = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_SPEED, le=MAX_SPEED)]
@@ -198,16 +202,19 @@ class SessionHeader(Record):
         return TrackingCheckpoint(
             None if tracker is None else _tracker_state(tracker),
             local_field_state(self.checkpoint.field),
-            _anchor(self.checkpoint.anchor),
+            _anchor(self.checkpoint.anchor, tracker),
             self.checkpoint.kidnapped,
             self.checkpoint.kidnapped_keyframes,
-            _anchor(self.checkpoint.learned_until),
+            _anchor(self.checkpoint.learned_until, tracker),
         )
 
 
 def _fix_record(fix: PoseFix) -> _PoseFix:
     return _PoseFix.model_construct(
-        pose=to_pose(fix.pose), odometry=to_pose(fix.odometry), covariance=to_matrix(fix.covariance)
+        pose=to_pose(fix.pose),
+        odometry=to_pose(fix.odometry.pose),
+        odometry_stamp=fix.odometry.stamp,
+        covariance=to_matrix(fix.covariance),
     )
 
 
@@ -236,7 +243,7 @@ def _tracker_record(state: TrackerState) -> _Tracker:
 
 def _tracker_state(record: _Tracker) -> TrackerState:
     fix, reference = (
-        PoseFix(np.array(saved.pose), np.array(saved.odometry), np.array(saved.covariance))
+        PoseFix(np.array(saved.pose), _reading(saved, record), np.array(saved.covariance))
         for saved in (record.fix, record.reference)
     )
     return TrackerState(
@@ -268,14 +275,22 @@ def _anchor_record(anchor: Anchor | None) -> AnchorRecord | None:
         keyframe=anchor.keyframe,
         relative=to_pose(anchor.relative),
         covariance=to_matrix(anchor.covariance),
-        odometry=to_pose(anchor.odometry),
+        odometry=to_pose(anchor.odometry.pose),
+        odometry_stamp=anchor.odometry.stamp,
     )
 
 
-def _anchor(record: AnchorRecord | None) -> Anchor | None:
+def _anchor(record: AnchorRecord | None, tracker: _Tracker | None) -> Anchor | None:
     if record is None:
         return None
-    return Anchor(record.keyframe, np.array(record.relative), np.array(record.covariance), np.array(record.odometry))
+    reading = _reading(record, tracker)
+    return Anchor(record.keyframe, np.array(record.relative), np.array(record.covariance), reading)
+
+
+def _reading(record: _PoseFix | AnchorRecord, tracker: _Tracker | None) -> Odometry:
+    """Return the reading of odometry of a record; without a stamp it is taken to be that of the last scan."""
+    last = 0.0 if tracker is None else tracker.scan_stamp or 0.0
+    return Odometry(last if record.odometry_stamp is None else record.odometry_stamp, np.array(record.odometry))
 
 
 def _part_records(parts: MapParts) -> list[_Part]:

@@ -42,7 +42,7 @@ def plan_session(plan_map: PlanMap, config: Config) -> StoredSession:
         mapper,
         trajectory,
         stamps,
-        _checkpoint(views[last], last, _links(np.array([view.position for view in views]))),
+        _checkpoint(scans[last], last, _links(np.array([view.position for view in views]))),
         LoopAgreementState(last_search=mapper.travelled[-1]),
         dict(enumerate(scans)),
     )
@@ -58,11 +58,11 @@ def _scan(stamp: float, view: PlanView) -> ProcessedScan:
     return ProcessedScan(stamp, view.pose, features)
 
 
-def _checkpoint(view: PlanView, keyframe: int, links: list[tuple[int, int]]) -> TrackingCheckpoint:
-    """Return the state of tracking after the last view."""
-    fix = PoseFix(view.pose, view.pose)
-    field = LocalFieldState(view.position, links, {}, (), np.zeros((0, 3)))
-    anchor = Anchor(keyframe, np.zeros(3), np.zeros((3, 3)), view.pose)
+def _checkpoint(scan: ProcessedScan, keyframe: int, links: list[tuple[int, int]]) -> TrackingCheckpoint:
+    """Return the state of tracking after the last view, which is that of a scan."""
+    fix = PoseFix(scan.odometry, scan.reading)
+    field = LocalFieldState(scan.odometry[:2], links, {}, (), np.zeros((0, 3)))
+    anchor = Anchor(keyframe, np.zeros(3), np.zeros((3, 3)), scan.reading)
     return TrackingCheckpoint(TrackerState.placed(fix), field, anchor, False, ())
 
 

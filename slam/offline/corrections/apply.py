@@ -77,7 +77,7 @@ def correct_session(session: StoredSession, path: Trajectory, corrections: Seque
     )
     mapper.recompute_pose_covariances()
     last = session.scan_history().scan_poses(mapper.keyframe_poses)[-1]
-    fix = PoseFix(last, session.scans[-1].odometry)
+    fix = PoseFix(last, session.scans[-1].reading)
     state.replace_map(mapper, state.trajectory, fix, history.keyframe_scans)
     return CorrectedSession(summarise_session(session, {}, Publisher(())), session, outcomes, loops.decided)
 

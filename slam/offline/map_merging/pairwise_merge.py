@@ -55,10 +55,10 @@ def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[Pl
     model.add_samples(samples)
     trajectory = merge_trajectories(state.trajectory, other.trajectory, offsets.keyframes, shift)
     stamps = [*state.keyframe_stamps, *(stamp + shift for stamp in other.keyframe_stamps)]
-    scans = [*first.scans, *second.scans]
+    scans, odometry = [*first.scans, *second.scans], [*first.odometry, *second.odometry]
     kidnapped = [*state.kidnapped_keyframes, *(k + offsets.keyframes for k in other.kidnapped_keyframes)]
     starts = [*first.starts, *(row + offsets.scans for row in second.starts)]
-    history = build_scan_history(scans, trajectory, stamps, kidnapped, starts)
+    history = build_scan_history(scans, trajectory, stamps, odometry, kidnapped, starts)
     mapper = _merge_maps(state.mapper, other.mapper, history, model, members)
     slam_state = SlamState.restored(
         first.config,
@@ -66,7 +66,7 @@ def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[Pl
         mapper,
         trajectory,
         stamps,
-        _transfer_checkpoint(state, other, mapper, kidnapped),
+        _transfer_checkpoint(state, other, mapper, kidnapped, shift),
         LoopAgreementState(last_search=mapper.travelled[-1]),
         history.keyframe_scans,
     )
@@ -74,7 +74,7 @@ def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[Pl
         config=first.config,
         slam_state=slam_state,
         scans=scans,
-        odometry=[*first.odometry, *second.odometry],
+        odometry=odometry,
         starts=starts,
         noise=second.noise,
         second_noise=second.second_noise,
@@ -147,10 +147,13 @@ def _merge_matched_walls(mapper: Mapper, members: Sequence[PlacedSubmap], offset
 
 
 def _transfer_checkpoint(
-    first: SlamState, second: SlamState, mapper: Mapper, kidnapped: Sequence[int]
+    first: SlamState, second: SlamState, mapper: Mapper, kidnapped: Sequence[int], shift: float
 ) -> TrackingCheckpoint:
-    """Return the second state's checkpoint in the merged map, with the links of both between keyframes."""
-    keyframes, checkpoint = first.mapper.keyframe_count, second.checkpoint
+    """Return the second state's checkpoint in the merged map, with the links of both between keyframes.
+
+    `shift` (seconds) is added to its stamps.
+    """
+    keyframes, checkpoint = first.mapper.keyframe_count, second.checkpoint.shifted(shift)
     links = [(one + keyframes, other + keyframes) for one, other in checkpoint.field.links]
     links = [*first.checkpoint.field.links, *links]
     gaps = {keyframe + keyframes: gap for keyframe, gap in checkpoint.field.gaps.items()} | {keyframes: MAX_PATH}

@@ -1,0 +1,63 @@
+"""Motions of the base by odometry, without its systematic errors and with covariances."""
+
+from __future__ import annotations
+
+import copy
+from itertools import pairwise
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import Odometry
+
+from ..geometry.segments import Floats
+from .error_model import OdometryModel
+from .history import OdometryHistory
+
+
+class DeadReckoning:
+    """Readings of odometry and their error model: the motion between any two moments.
+
+    model    learned errors of the readings
+    history  readings up to the last scan at least; without them, the motion from one scan to another is one chord
+    """
+
+    def __init__(self, model: OdometryModel, history: OdometryHistory | None = None) -> None:
+        self.model, self.history = model, OdometryHistory() if history is None else history
+
+    def __deepcopy__(self, memo: dict[int, object]) -> DeadReckoning:
+        """Return a copy with a model of its own. The readings are common: what is asked about them stays as it is."""
+        return DeadReckoning(copy.deepcopy(self.model, memo), self.history)
+
+    def motion(self, begin: Odometry, end: Odometry) -> se2.Pose:
+        """Return the motion [x, y, heading] of the base from one reading to a later one."""
+        return _end(self._way(begin, end))
+
+    def measure(self, begin: Odometry, end: Odometry) -> tuple[se2.Pose, Floats]:
+        """Return the motion from one reading to a later one, and its covariance (3, 3), in its end frame."""
+        way = self._way(begin, end)
+        return _end(way), self.model.way_covariance(way)
+
+    def motion_each(self, stamps: Floats, poses: Floats) -> Floats:
+        """Return the motions (n - 1, 3) of the base from each of n readings to the next one.
+
+        stamps, poses  (n,) seconds, increasing, and (n, 3) of the readings
+        """
+        readings = [Odometry(stamp, pose) for stamp, pose in zip(stamps.tolist(), poses, strict=True)]
+        return np.array([self.motion(*pair) for pair in pairwise(readings)]).reshape(-1, 3)
+
+    def measure_each(self, stamps: Floats, poses: Floats) -> tuple[Floats, Floats]:
+        """Return the same motions with their covariances (n - 1, 3, 3), in their end frames."""
+        readings = [Odometry(stamp, pose) for stamp, pose in zip(stamps.tolist(), poses, strict=True)]
+        measured = [self.measure(*pair) for pair in pairwise(readings)]
+        motions, covariances = [motion for motion, _ in measured], [covariance for _, covariance in measured]
+        return np.array(motions).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3)
+
+    def _way(self, begin: Odometry, end: Odometry) -> Floats:
+        return self.model.correct_way(self.history.way(begin, end))
+
+
+def _end(way: Floats) -> se2.Pose:
+    """Return the last pose of a way."""
+    x, y, heading = way[-1].tolist()
+    return np.array([x, y, se2.wrap(heading)])
