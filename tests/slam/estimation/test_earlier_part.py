@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from drivers.messages import Odometry
 from slam.config import Config
 from slam.estimation.closure_monitor import ClosureMonitor
 from slam.estimation.earlier_part import DECIDING_MARGIN, EarlierPart
@@ -32,7 +33,7 @@ EXACT = np.zeros(3)
 def earlier_part() -> EarlierPart:
     """Return the test of a part of the map in which the robot was last seen at the origin."""
     state = SlamState(Config())
-    state.tracker.move_to(np.zeros(3), np.zeros(3))
+    state.tracker.move_to(np.zeros(3), Odometry(-1.0, np.zeros(3)))
     return EarlierPart(state, ClosureMonitor())
 
 

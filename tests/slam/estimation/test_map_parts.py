@@ -86,8 +86,8 @@ def lose(
     estimator, joined = Estimator(SlamState(Config())), []
     for scan in scans:
         if scan.stamp - scans[0].stamp > at and len(estimator.state.mapper.landmarks.parts) == 1:
-            pose = se2.compose(estimator.state.predict(scan.odometry), shift)
-            estimator.begin_part(pose, scan.odometry, kidnapped=kidnapped)
+            pose = se2.compose(estimator.state.predict(scan.reading), shift)
+            estimator.begin_part(pose, scan.reading, kidnapped=kidnapped)
         result = estimator.process(scan)
         joined += [] if result.joined is None else [result.joined]
     return estimator, joined
@@ -202,7 +202,7 @@ def test_a_robot_that_is_lost_again_maps_another_part(bare_scans: list[Processed
     """The covariance between the first and the last part contains odometry's motions to both later ones."""
     estimator, _ = lose(bare_scans[: len(bare_scans) // 2], np.zeros(3), kidnapped=True)
     scan = bare_scans[len(bare_scans) // 2]
-    estimator.begin_part(estimator.state.predict(scan.odometry), scan.odometry, kidnapped=False)
+    estimator.begin_part(estimator.state.predict(scan.reading), scan.reading, kidnapped=False)
     for scan in bare_scans[len(bare_scans) // 2 :][:20]:
         estimator.process(scan)
     mapper, (_, second, third) = estimator.state.mapper, estimator.state.mapper.landmarks.parts.firsts
@@ -216,8 +216,8 @@ def test_a_part_that_was_left_is_joined_as_well(scans: list[ProcessedScan], driv
     lost_at = next(again)
     for scan in scans:
         if scan.stamp - scans[0].stamp > lost_at:
-            pose = se2.compose(estimator.state.predict(scan.odometry), np.array([0.03, -0.02, 0.01]))
-            estimator.begin_part(pose, scan.odometry, kidnapped=False)
+            pose = se2.compose(estimator.state.predict(scan.reading), np.array([0.03, -0.02, 0.01]))
+            estimator.begin_part(pose, scan.reading, kidnapped=False)
             lost_at = next(again)
         estimator.process(scan)
     parts = estimator.state.mapper.landmarks.parts
@@ -233,7 +233,7 @@ def test_a_robot_that_was_lost_on_a_frozen_map_keeps_its_scans(scans: list[Proce
     state = estimator.state
     state.freeze()
     walls, first = len(state.mapper.landmarks.walls), scans[0]
-    estimator.begin_part(np.array([0.05, -0.04, 0.02]), first.odometry, kidnapped=False)
+    estimator.begin_part(np.array([0.05, -0.04, 0.02]), first.reading, kidnapped=False)
     joined = None
     for scan in scans:
         result = estimator.process(replace(scan, stamp=scan.stamp + DURATION + 1.0))

@@ -35,6 +35,7 @@ from slam.matching.point_matcher import Prediction
 from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.history import OdometryHistory
 from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 
 from ..outlines import visible, with_noise
@@ -78,6 +79,7 @@ class MappedSession:
 def session() -> MappedSession:
     messages = list(Simulation("room", seed=3, duration=16.0, lidar=LidarModel(beams=180, rate=5.0)))
     preprocessor, estimator, scans = Preprocessor(Config()), Estimator(SlamState(Config())), []
+    estimator.state.odometry.history = preprocessor.odometry
     for message in messages:
         if isinstance(message, GroundTruth):
             continue
@@ -88,7 +90,11 @@ def session() -> MappedSession:
     slam_state = estimator.state
     converge(slam_state.mapper)
     history = build_scan_history(
-        scans, slam_state.trajectory, slam_state.keyframe_stamps, slam_state.kidnapped_keyframes
+        scans,
+        slam_state.trajectory,
+        slam_state.keyframe_stamps,
+        [preprocessor.odometry],
+        slam_state.kidnapped_keyframes,
     )
     path_distances = slam_state.local_field.path_distances(slam_state.mapper.travelled)
     return MappedSession(slam_state.mapper, history, slam_state.odometry_model, messages, path_distances)
@@ -318,7 +324,7 @@ def drive_through_clutter() -> tuple[Mapper, ScanHistory, np.ndarray]:
         features = ScanFeatures(Segments(*NOTHING), NO_CORNERS, ScanPoints(points))
         scans.append(ProcessedScan(0.5 * k, odometry_pose, features))
     every, zeros = np.arange(2 * count), np.zeros((2 * count, 3))
-    history = ScanHistory(scans, every, every, zeros, np.zeros((2 * count, 3, 3)), frozenset())
+    history = ScanHistory(scans, every, every, zeros, np.zeros((2 * count, 3, 3)), OdometryHistory(), frozenset())
     model, mapper, covariance = OdometryModel(OdometryConfig()), Mapper(), np.diag([0.01, 0.01, 0.003]) ** 2
     none = LandmarkIds(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))
     for k, scan in enumerate(scans):

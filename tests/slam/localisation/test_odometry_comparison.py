@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from drivers.messages import Odometry
 from slam.config import OdometryConfig
 from slam.geometry.segments import Floats
 from slam.localisation.odometry_comparison import ComparedFix, OdometryComparison
@@ -15,6 +16,7 @@ from slam.localisation.pose_predictor import PosePredictor
 from slam.localisation.small_objects import SmallObjects
 from slam.localisation.tracking import PoseFix
 from slam.matching.point_matcher import Prediction
+from slam.odometry.dead_reckoning import DeadReckoning
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.velocity import STEADY_SECONDS, VelocityFilter
 
@@ -51,13 +53,15 @@ def failing(
     velocity = VelocityFilter()
     if speed is not None:
         velocity = VelocityFilter(np.array([speed, 0.0, 0.0]), np.full(3, 1e-4))
-    comparison, model, random = OdometryComparison(), OdometryModel(OdometryConfig()), np.random.default_rng(3)
-    pose, odometry, found = np.zeros(3), np.zeros(3), []
+    comparison, random = OdometryComparison(), np.random.default_rng(3)
+    reckoning = DeadReckoning(OdometryModel(OdometryConfig()))
+    pose, odometry, found = np.zeros(3), np.zeros(3), list[bool]()
     for by_scans, by_odometry in motions:
         pose, odometry = se2.compose(pose, by_scans), se2.compose(odometry, by_odometry)
-        fix = PoseFix(se2.compose(pose, SIGMAS * random.standard_normal(3)), odometry)
+        reading = Odometry(period * len(found), odometry)
+        fix = PoseFix(se2.compose(pose, SIGMAS * random.standard_normal(3)), reading)
         compared = ComparedFix(fix, np.diag(sigmas**-2), velocity, period)
-        comparison.add(compared, model, np.diag(SIGMAS**2), lambda _prediction: is_certain)
+        comparison.add(compared, reckoning, np.diag(SIGMAS**2), lambda _prediction: is_certain)
         found.append(comparison.failing)
     return found
 
@@ -85,11 +89,12 @@ def test_scans_that_do_not_determine_the_motion_neither_contradict_nor_agree() -
 
 
 def test_odometry_is_used_again_where_nothing_else_determines_the_motion() -> None:
-    comparison, model, found = OdometryComparison(STEADY_SECONDS), OdometryModel(OdometryConfig()), list[bool]()
+    comparison, found = OdometryComparison(STEADY_SECONDS), list[bool]()
+    reckoning = DeadReckoning(OdometryModel(OdometryConfig()))
     for k in range(20):
-        fix, velocity = PoseFix(k * STEP, k * STEP), VelocityFilter()
+        fix, velocity = PoseFix(k * STEP, Odometry(k * PERIOD, k * STEP)), VelocityFilter()
         compared = ComparedFix(fix, np.diag(CORRIDOR**-2), velocity, PERIOD)
-        comparison.add(compared, model, np.diag(SIGMAS**2), certain)
+        comparison.add(compared, reckoning, np.diag(SIGMAS**2), certain)
         found.append(comparison.failing)
     assert STEADY_SECONDS <= found.index(False) * PERIOD < STEADY_SECONDS + 0.4
 
@@ -113,12 +118,13 @@ def test_a_robot_that_stands_does_not_show_that_odometry_works_again() -> None:
 
 
 def test_a_correction_of_the_map_is_no_motion() -> None:
-    comparison, model = OdometryComparison(), OdometryModel(OdometryConfig())
-    pose, fix = np.zeros(3), PoseFix(np.zeros(3), np.zeros(3))
+    comparison, reckoning = OdometryComparison(), DeadReckoning(OdometryModel(OdometryConfig()))
+    pose, fix = np.zeros(3), PoseFix(np.zeros(3), Odometry(-PERIOD, np.zeros(3)))
     for k in range(60):
-        pose, fix = se2.compose(fix.pose, STEP), PoseFix(se2.compose(fix.pose, STEP), k * STEP)
+        pose = se2.compose(fix.pose, STEP)
+        fix = PoseFix(pose, Odometry(k * PERIOD, k * STEP))
         compared = ComparedFix(fix, np.diag(SIGMAS**-2), VelocityFilter(), PERIOD)
-        comparison.add(compared, model, np.diag(SIGMAS**2), certain)
+        comparison.add(compared, reckoning, np.diag(SIGMAS**2), certain)
         if k % 3 == 0:  # a loop is closed
             correction = np.array([0.8, -0.5, 0.2])
             comparison.follow(correction, fix)
@@ -127,22 +133,23 @@ def test_a_correction_of_the_map_is_no_motion() -> None:
 
 
 def test_the_motion_is_predicted_to_be_even_while_odometry_fails() -> None:
-    predictor = PosePredictor(OdometryModel(OdometryConfig()))
+    predictor = PosePredictor(DeadReckoning(OdometryModel(OdometryConfig())))
     pose, odometry = np.zeros(3), np.zeros(3)
-    predictor.move_to(pose, odometry)
+    predictor.move_to(pose, Odometry(0.0, odometry))
     for k in range(40):
-        predictions = predictor.predict(k * PERIOD, odometry)
+        reading = Odometry(k * PERIOD, odometry)
+        predictions = predictor.predict(reading)
         if k > 30:
             np.testing.assert_allclose(predictions.usual.pose, pose, atol=0.005)
         slipped = k >= 20
         result = tracking_result(pose=pose, information=1e6 * np.eye(3), slipped=slipped)
-        predictor.update(result, odometry, None, certain, compare)
+        predictor.update(result, reading, None, certain, compare)
         pose = pose + STEP
         odometry = odometry if k >= 19 else odometry + STEP
     assert predictor.odometry_failing
     assert not predictor.measured
     state = predictor.state(SmallObjects(), 0.0)
     assert state is not None
-    restored = PosePredictor(OdometryModel(OdometryConfig()))
+    restored = PosePredictor(DeadReckoning(OdometryModel(OdometryConfig())))
     restored.restore(state)
     assert restored.odometry_failing

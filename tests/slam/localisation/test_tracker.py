@@ -25,6 +25,7 @@ from slam.matching.offset_tiles import FIELD_CELL
 from slam.matching.point_matcher import Prediction, match_points
 from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
+from slam.odometry.dead_reckoning import DeadReckoning
 from slam.odometry.error_model import OdometryModel
 from slam.odometry.predicted_motion import PredictedMotionModel
 
@@ -229,15 +230,15 @@ def results_after_gap(
     The robot has not driven on as before the gap; see STANDS. `driven` is its motion in the gap by odometry, metres,
     metres and radians; `model` is that of odometry's errors.
     """
-    tracker = Tracker(model or OdometryModel(OdometryConfig()))
+    tracker = Tracker(DeadReckoning(model or OdometryModel(OdometryConfig())))
     target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
     for k in range(12):
         pose = np.array([1.0 + 0.05 * k, 1.5, 0.0])
         if not k:
-            tracker.move_to(pose, pose)
-        tracker.track(0.1 * k, pose, seen_from(pose), target)
+            tracker.move_to(pose, Odometry(0.0, pose))
+        tracker.track(Odometry(0.1 * k, pose), seen_from(pose), target)
     odometry, seen = se2.compose(pose, np.array(driven)), seen_from(STANDS, room)
-    return tracker, [tracker.track(1.1 + gap + 0.1 * k, odometry, seen, target) for k in range(scans)]
+    return tracker, [tracker.track(Odometry(1.1 + gap + 0.1 * k, odometry), seen, target) for k in range(scans)]
 
 
 @pytest.mark.parametrize(("driven", "lost"), [(RIGHT, False), (WRONG, True)])
@@ -300,27 +301,27 @@ def test_a_robot_that_stands_where_no_motion_leads_was_carried(
     moved: tuple[float, float, float], carried: bool
 ) -> None:
     """Its scans fit well and agree with each other, but a place out of reach may be anywhere and look alike."""
-    tracker = Tracker(OdometryModel(OdometryConfig()))
+    tracker = Tracker(DeadReckoning(OdometryModel(OdometryConfig())))
     target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
     stood = np.array([1.5, 1.5, 0.0])
-    tracker.move_to(stood, stood)
+    tracker.move_to(stood, Odometry(0.0, stood))
     for k in range(30):
-        tracker.track(0.1 * k, stood, seen_from(stood), target)
+        tracker.track(Odometry(0.1 * k, stood), seen_from(stood), target)
     for k in range(30, 34):
-        result = tracker.track(0.1 * k, stood, seen_from(se2.compose(stood, np.array(moved))), target)
+        result = tracker.track(Odometry(0.1 * k, stood), seen_from(se2.compose(stood, np.array(moved))), target)
         assert not result.poor
     assert tracker.lost is tracker.may_have_been_carried is carried
 
 
 def test_a_scan_out_of_reach_is_forgotten_if_the_next_one_fits() -> None:
     """Afterwards the robot may be pushed as before."""
-    tracker = Tracker(OdometryModel(OdometryConfig()))
+    tracker = Tracker(DeadReckoning(OdometryModel(OdometryConfig())))
     target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
     stood = np.array([1.5, 1.5, 0.0])
     motions = [*30 * [(0.0, 0.0, 0.0)], (0.0, 0.05, 0.4), (0.0, 0.0, 0.0), (0.12, 0.0, 0.0)]
-    tracker.move_to(stood, stood)
+    tracker.move_to(stood, Odometry(0.0, stood))
     results = [
-        tracker.track(0.1 * k, stood, seen_from(se2.compose(stood, np.array(motion))), target)
+        tracker.track(Odometry(0.1 * k, stood), seen_from(se2.compose(stood, np.array(motion))), target)
         for k, motion in enumerate(motions)
     ]
     expected = [TrackingStatus.FAILED, TrackingStatus.TRACKED, TrackingStatus.TRACKED]
@@ -333,18 +334,18 @@ def test_only_a_slip_that_the_last_metres_show_is_believed(slips: bool) -> None:
     begin, aside = np.array([1.0, 1.5, 0.0]), np.array([0.0, 0.5, 0.0])
     recent = noisy_field(ROOM, begin)
     earlier = noisy_field(ROOM + aside[:2], begin + aside)
-    tracker = Tracker(OdometryModel(OdometryConfig()))
+    tracker = Tracker(DeadReckoning(OdometryModel(OdometryConfig())))
     for k in range(8):
         pose = begin + np.array([0.05 * k, 0.0, 0.0])
         if not k:
-            tracker.move_to(pose, pose)
-        tracker.track(0.1 * k, pose, seen_from(pose), MatchTarget(empty_local_map(), recent, 0.0))
+            tracker.move_to(pose, Odometry(0.0, pose))
+        tracker.track(Odometry(0.1 * k, pose), seen_from(pose), MatchTarget(empty_local_map(), recent, 0.0))
     pose = pose + (aside if slips else np.zeros(3)) + np.array([0.05, 0.0, 0.0])
     odometry = begin + np.array([0.4, 0.0, 0.0])
     field = recent if slips else earlier
     for k in (8, 9):
         result = tracker.track(
-            0.1 * k, odometry, seen_from(pose), MatchTarget(empty_local_map(), field, 0.0, lambda: recent)
+            Odometry(0.1 * k, odometry), seen_from(pose), MatchTarget(empty_local_map(), field, 0.0, lambda: recent)
         )
     assert result.contradicts_old_map is not slips
     assert result.status is TrackingStatus.TRACKED
@@ -359,13 +360,13 @@ def test_a_sudden_turn_in_a_round_room_is_found_without_odometry() -> None:
     room = np.concatenate([wall, *boxes])
     target = MatchTarget(empty_local_map(), noisy_field(room, np.zeros(3)), 0.0)
     for turn in (-0.6, -0.4, 0.4, 0.6):
-        tracker, odometry = Tracker(PredictedMotionModel(OdometryConfig(source="none"))), np.zeros(3)
-        pose = np.zeros(3)
-        tracker.move_to(pose, odometry)
+        tracker = Tracker(DeadReckoning(PredictedMotionModel(OdometryConfig(source="none"))))
+        pose = odometry = np.zeros(3)
+        tracker.move_to(pose, Odometry(0.0, odometry))
         for k in range(20):  # standing still, until the motion is predicted to be none
-            result = tracker.track(0.25 * k, odometry, seen_from(pose, room), target)
+            result = tracker.track(Odometry(0.25 * k, odometry), seen_from(pose, room), target)
         pose = np.array([0.05, 0.0, turn])
-        result = tracker.track(0.25 * 20, odometry, seen_from(pose, room), target)
+        result = tracker.track(Odometry(0.25 * 20, odometry), seen_from(pose, room), target)
         assert np.all(np.abs(se2.between(pose, result.pose)) < [0.03, 0.03, 0.02])
 
 

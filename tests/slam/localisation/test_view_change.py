@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drivers.messages import Odometry
 from slam.config import OdometryConfig
 from slam.geometry.segments import Floats
 from slam.localisation.view_change import View, ViewComparison
+from slam.odometry.dead_reckoning import DeadReckoning
 from slam.odometry.error_model import OdometryModel
 
 from ..outlines import outline, visible
 
 ORIGIN = np.zeros(3)
+READING = Odometry(0.0, ORIGIN)
 
 
 ROOM = outline([(-2, -1), (3, -1), (3, 1), (1.5, 1), (1.5, 3), (-2, 3)])
@@ -21,7 +24,7 @@ OTHER = outline([(-4, -2.5), (1.2, -2.5), (1.2, 5), (-0.5, 5), (-0.5, 2), (-4, 2
 
 def seen_from(pose: list[float], room: Floats = ROOM) -> View:
     """Return the view of a room from a pose in it, with odometry at the origin."""
-    return View(ORIGIN, visible(room, np.array(pose)))
+    return View(READING, visible(room, np.array(pose)))
 
 
 @pytest.mark.parametrize("motion", [[0.0, 0.0, 0.0], [0.02, 0.0, 0.1], [0.0, 0.0, -0.15]])
@@ -38,7 +41,7 @@ def test_views_of_different_rooms_differ(pose: list[float]) -> None:
 
 
 def test_views_with_few_points_are_not_compared() -> None:
-    nothing = View(ORIGIN, ROOM[:5])
+    nothing = View(READING, ROOM[:5])
     assert not nothing.differs_from(seen_from([0.0, 0.0, 0.0], OTHER), ORIGIN)
     assert not seen_from([0.0, 0.0, 0.0]).differs_from(nothing, ORIGIN)
 
@@ -54,15 +57,15 @@ def test_a_view_that_changes_while_the_robot_drives_is_no_evidence(motion: list[
 def test_points_out_of_range_are_no_evidence() -> None:
     """Outdoors nearly all returns may be far away, and others are in range at each scan."""
     far, farther = (np.column_stack([np.linspace(-r, r, 80), np.full(80, r)]) for r in (14.0, 20.0))
-    assert not View(ORIGIN, far).differs_from(View(ORIGIN, farther), ORIGIN)
+    assert not View(READING, far).differs_from(View(READING, farther), ORIGIN)
 
 
 @pytest.mark.parametrize("spacing", [1, 4, 16])
 def test_the_beams_may_be_far_apart(spacing: int) -> None:
     """Between two beams the surface continues: points of the next scan may lie anywhere on it."""
-    before = View(ORIGIN, seen_from([0.0, 0.0, 0.0]).points[::spacing])
-    same = View(ORIGIN, seen_from([0.03, 0.0, 0.1]).points[spacing // 2 :: spacing])
-    other = View(ORIGIN, seen_from([0.0, 0.0, 0.0], OTHER).points[::spacing])
+    before = View(READING, seen_from([0.0, 0.0, 0.0]).points[::spacing])
+    same = View(READING, seen_from([0.03, 0.0, 0.1]).points[spacing // 2 :: spacing])
+    other = View(READING, seen_from([0.0, 0.0, 0.0], OTHER).points[::spacing])
     assert not before.differs_from(same, np.array([0.03, 0.0, 0.0]))
     assert before.differs_from(other, ORIGIN)
 
@@ -70,9 +73,9 @@ def test_the_beams_may_be_far_apart(spacing: int) -> None:
 @pytest.mark.parametrize("fits_nowhere", [False, True])
 def test_a_sweep_in_which_the_robot_is_lifted_does_not_hide_the_change(fits_nowhere: bool) -> None:
     """It shows one room at first and then the other one, and agrees with both."""
-    model, comparison = OdometryModel(OdometryConfig()), ViewComparison()
+    odometry, comparison = DeadReckoning(OdometryModel(OdometryConfig())), ViewComparison()
     before, after = seen_from([0.0, 0.0, 0.0]), seen_from([0.0, 0.0, 0.0], OTHER)
     halves = np.concatenate([before.points[before.points[:, 1] < 0.0], after.points[after.points[:, 1] >= 0.0]])
-    for view in (before, View(ORIGIN, halves)):
-        assert not comparison.add(view, model, suspicious=False, fits_nowhere=False)
-    assert comparison.add(after, model, suspicious=True, fits_nowhere=fits_nowhere) is fits_nowhere
+    for view in (before, View(READING, halves)):
+        assert not comparison.add(view, odometry, suspicious=False, fits_nowhere=False)
+    assert comparison.add(after, odometry, suspicious=True, fits_nowhere=fits_nowhere) is fits_nowhere

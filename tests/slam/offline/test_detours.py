@@ -9,6 +9,7 @@ from slam.config import OdometryConfig
 from slam.estimation.refinement import ScanHistory
 from slam.graph.factors import Factor, FactorKind
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.history import OdometryHistory
 from slam.offline.corrections.detours import direct_motions, is_detour, without_detours
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 
@@ -20,7 +21,8 @@ OWN_KEYFRAMES = np.array([0, 1, 2, 3, 1, 1, 4, 5])
 def history() -> ScanHistory:
     scans = [ProcessedScan(float(k), np.array([0.5 * k, 0.0, 0.1 * k]), NO_FEATURES) for k in range(len(OWN_KEYFRAMES))]
     relative = np.tile([0.02, 0.0, 0.0], (len(scans), 1)) * (OWN_KEYFRAMES == 1)[:, None]
-    return ScanHistory(scans, KEYFRAMES, OWN_KEYFRAMES, relative, np.tile(np.eye(3), (len(scans), 1, 1)), frozenset())
+    informations = np.tile(np.eye(3), (len(scans), 1, 1))
+    return ScanHistory(scans, KEYFRAMES, OWN_KEYFRAMES, relative, informations, OdometryHistory(), frozenset())
 
 
 def odometry(first: int, second: int) -> Factor:
