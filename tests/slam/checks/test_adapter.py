@@ -13,6 +13,7 @@ from slam.checks.adapter import contradicted_places, drive_of, unconnected_parts
 from slam.config import Config
 from slam.mapping.odometry_segments import OdometrySegments
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.history import OdometryHistory
 from slam.preprocessing.preprocessor import NO_FEATURES, ProcessedScan
 from slam.preprocessing.scan_sequence import ScanSequence
 
@@ -54,14 +55,16 @@ def test_each_motion_of_odometry_is_corrected() -> None:
 
 
 def test_a_turn_of_more_than_half_a_turn_in_a_gap_is_that_of_the_path() -> None:
-    """Of wheels that measure turns 10 % too large."""
+    """Of wheels that measure turns 10 % too large, and were read all the time."""
     model = OdometryModel(Config().odometry)
     for _ in range(200):
         model.add_motion(np.array([0.1, 0.0, 0.44]), np.array([0.1, 0.0, 0.4]), 1e8 * np.eye(3))
-    before, after = ProcessedScan(0.5, np.zeros(3), NO_FEATURES), ProcessedScan(9.0, np.zeros(3), NO_FEATURES)
-    after = replace(after, odometry=se2.exp([1.0, 0.0, 1.1 * np.radians(170.0)]))
+    stamps, twist = np.linspace(0.5, 9.0, 100), np.array([1.0, 0.0, 1.1 * np.radians(170.0)])
+    readings = np.array([se2.exp(share * twist) for share in np.linspace(0.0, 1.0, 100)])
+    before, after = (ProcessedScan(float(stamps[row]), readings[row], NO_FEATURES) for row in (0, -1))
     poses = np.array([np.zeros(3), se2.exp([1.0, 0.0, np.radians(170.0)])])
-    drive = drive_of([before, after], segments(0), (np.array([0.5, 9.0]), poses), model, 0.0)
+    odometry = OdometrySegments([OdometryHistory.from_arrays(stamps, readings)], [0])
+    drive = drive_of([before, after], odometry, (np.array([0.5, 9.0]), poses), model, 0.0)
     assert abs(se2.wrap(drive.odometry[1, 2] - poses[1, 2])) < np.radians(3.0)
 
 

@@ -103,47 +103,12 @@ def test_wheels_that_slip_on_straight_drives_do_not_change_the_factor_of_turning
     assert model.deviations[2] == pytest.approx(slip, rel=0.3)
 
 
-@pytest.mark.parametrize("turn", [-230.0, -170.0, -60.0, 100.0, 190.0, 240.0])
-def test_the_turn_that_leads_to_the_expected_heading_is_corrected(turn: float) -> None:
-    """Two poses of odometry tell a turn up to full turns only."""
-    model = OdometryModel(OdometryConfig())
-    model._systematic = SystematicErrors(turning=1.0 / 1.09)
-    true = se2.exp([1.0, 0.2, np.radians(turn)])
-    measured = se2.exp([1.0, 0.2, 1.09 * np.radians(turn)])
-    about = se2.compose(true, [0.1, -0.1, np.radians(8.0)])
-    corrected = model.correct_near(np.array([measured, measured]), np.array([about, about]))
-    np.testing.assert_allclose(se2.between(true, corrected[0])[2], 0.0, atol=1e-9)
-    np.testing.assert_array_equal(corrected, np.array([model.correct_near(measured, about)] * 2))
-    certain = abs(turn) < 90.0 / 1.09
-    assert np.array_equal(model.correct(measured), model.correct_otherwise(measured, -1)) == certain
-
-
 def test_corrected_motions_add_up() -> None:
     """Correct a motion in one piece and in two: arcs of the same curvature."""
     errors = SystematicErrors(0.97, 1.0, 0.0, np.array([-0.1, 0.04, 0.03]), np.zeros(6))
     first, second = arc(0.3, 0.2), arc(0.6, 0.4)
     whole = errors.correct(se2.compose(first, second))
     np.testing.assert_allclose(se2.compose(errors.correct(first), errors.correct(second)), whole, atol=1e-9)
-
-
-def test_the_covariance_contains_the_uncertainty_of_systematic_errors() -> None:
-    random, sigmas = np.random.default_rng(0), np.array([0.02, 0.03, 0.02, 0.03, 0.05, 0.02])
-    measured = arc(0.5, 0.6)
-    drawn = random.normal(size=(4000, 6)) * sigmas
-    perfect = SystematicErrors(variances=sigmas**2)
-    errors = np.array(
-        [
-            se2.between(
-                perfect.correct(measured),
-                SystematicErrors(1.0 + row[0], 1.0 + row[1], row[2], row[3:]).correct(measured),
-            )
-            for row in drawn
-        ]
-    )
-    expected = perfect.covariance(measured)
-    of_samples = np.cov(errors.T)
-    scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
-    np.testing.assert_allclose(of_samples / scale, expected / scale, atol=0.1)
 
 
 def test_the_first_motions_say_little_about_systematic_errors() -> None:
