@@ -1,5 +1,6 @@
 """Sessions can be continued: after an interruption, from anywhere in the map, or with the map frozen."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +17,16 @@ from slam.errors import MapError, MessageError
 from slam.evaluation.metrics import align
 from slam.events import EventRecorder, Finished, GraphInspected, Notice
 from slam.graph.isam2 import IncrementalSolver
-from slam.io.output_dir import CONFIG
+from slam.io.output_dir import CONFIG, SESSION
 from slam.io.run_results import read_run_results, write_results
 from slam.io.sessions import read_session, write_session
+from slam.io.sessions.session import HEADER
 from slam.io.tum import Trajectory
 from slam.localisation.state import LocalisationStatus
 from slam.odometry.continuity import RESTARTED
 from slam.offline.optimisation import optimise
+
+from .earlier_sessions import remove_odometry_stamps
 
 DRIVEN, INTERRUPTED = 22.0, 12.0  # seconds of the first drive
 LATER = 1000.0  # seconds until the next
@@ -98,6 +102,27 @@ def test_a_continued_run_equals_an_uninterrupted_one(
     apart = np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T)
     assert apart.max() < 1e-6
     assert np.abs(se2.wrap(finished.poses[:, 2] - uninterrupted.poses[:, 2])).max() < 1e-6
+    assert len(finished.walls) == len(uninterrupted.walls)
+    assert slam.session.starts == [0]
+
+
+def test_a_run_of_an_earlier_version_continues(
+    first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
+) -> None:
+    """It has not kept the stamps of the readings of odometry at the last fix and keyframe."""
+    _, uninterrupted = mapped
+    cut = first[0].stamp + INTERRUPTED
+    slam, _, _ = run([message for message in first if message.stamp < cut])
+    left = leave(slam, tmp_path / "left")
+    header = left / SESSION / HEADER
+    data = json.loads(header.read_text())
+    remove_odometry_stamps(data["checkpoint"])
+    header.write_text(json.dumps(data))
+    slam, finished, notices = run([message for message in first if message.stamp >= cut], left)
+    assert not notices
+    np.testing.assert_array_equal(finished.stamps, uninterrupted.stamps)
+    apart = np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T)
+    assert apart.max() < 0.01
     assert len(finished.walls) == len(uninterrupted.walls)
     assert slam.session.starts == [0]
 

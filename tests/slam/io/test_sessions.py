@@ -15,6 +15,7 @@ from features import LearnedNoise
 from slam import Slam
 from slam.config import LidarConfig, load_config
 from slam.errors import MapError
+from slam.estimation.slam_state import SlamState
 from slam.graph.graph_storage import graph_state
 from slam.io.output_dir import SESSION
 from slam.io.sessions import Recording, StoredSession, is_session, read_session
@@ -28,6 +29,7 @@ from slam.preprocessing.message_check import MessageCheck
 from slam.preprocessing.preprocessor import NO_FEATURES
 from slam.preprocessing.scan_sequence import ScanSequence
 
+from ..earlier_sessions import remove_odometry_stamps
 from .conftest import ROOM, write_directory
 
 
@@ -278,6 +280,31 @@ def test_what_a_drive_through_a_known_map_goes_on_from_is_kept(
     header.write_text(json.dumps(data))
     earlier = read_session(tmp_path / "out").slam_state
     np.testing.assert_array_equal(earlier.odometry_model.systematic_errors.values, PERFECT)
+
+
+def test_the_readings_of_odometry_at_fixes_are_kept(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """Earlier versions have kept only their poses: their stamps are taken to be that of the last scan."""
+    session, path = written[0], shutil.copytree(written[1], tmp_path / "out")
+    expected, restored = (readings_at_fixes(some.slam_state) for some in (session, read_session(path)))
+    last = session.scans[-1].stamp
+    assert min(reading.stamp for reading in expected) < last
+    header = path / SESSION / HEADER
+    data = json.loads(header.read_text())
+    remove_odometry_stamps(data["checkpoint"])
+    header.write_text(json.dumps(data))
+    earlier = readings_at_fixes(read_session(path).slam_state)
+    for before, after, of_earlier in zip(expected, restored, earlier, strict=True):
+        assert after.stamp == before.stamp
+        assert of_earlier.stamp == last
+        np.testing.assert_array_equal(after.pose, before.pose)
+        np.testing.assert_array_equal(of_earlier.pose, before.pose)
+
+
+def readings_at_fixes(state: SlamState) -> list[Odometry]:
+    tracker, anchor = state.checkpoint.tracker, state.checkpoint.anchor
+    assert tracker is not None
+    assert anchor is not None
+    return [tracker.fix.odometry, tracker.reference.odometry, anchor.odometry]
 
 
 def test_the_noise_of_rays_is_kept(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
