@@ -239,7 +239,7 @@ def _largest_deviations(mapper: Mapper, firsts: Sequence[int]) -> tuple[float, f
 
 
 def _corrected_path(odometry: Floats, motions: Floats) -> Floats:
-    """Return the first of odometry's poses (n, 3), and those to which motions (n - 1, 3) lead; headings are unwrapped."""
+    """Return the poses (n, 3) that motions (n - 1, 3) lead to from odometry's first one, with unwrapped headings."""
     path = odometry.copy()
     path[1:, 2] = odometry[:1, 2] + np.cumsum(motions[:, 2])
     turned = se2.transform(np.column_stack([np.zeros((len(motions), 2)), path[:-1, 2]]), motions[:, :2])

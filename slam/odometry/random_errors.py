@@ -13,7 +13,8 @@ from ..geometry.angles import wrap_angle
 from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_MEDIAN, NORMAL_MEDIAN_ERROR
 from ..geometry.segments import Floats
-from .systematic_errors import PRIOR_SAMPLES, is_turn
+from .heading_errors import is_turn
+from .systematic_errors import PRIOR_SAMPLES
 
 # Smallest variance of the random errors, square metres or square radians per metre: no wheels err by less than 0.1 mm
 # or 0.1 mrad in a metre. Origin: numerical, far below real wheels.

@@ -5,7 +5,7 @@ another, and unequal wheels veer in proportion to the length. Odometry describes
 of the axle that the robot turns around. If the pose of the lidar on the base is not known exactly, or the wheels slip,
 that frame F is not the base's: with its pose q in the base's frame, the base moves by q M q^-1 if F moves by M.
 
-All estimates are medians, which single gross errors do not affect.
+The estimates are medians, which single gross errors do not affect; for those of the heading see `heading_errors`.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from ..geometry.angles import wrap_angle
 from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats
+from .heading_errors import heading_errors, is_turn
 from .way_errors import corrected_motions, corrected_way
 
 # Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
@@ -40,13 +41,12 @@ SYSTEMATIC_SIGMAS = np.array([0.03, 0.05, 0.01, 0.05, 0.05, 0.03])
 # Variance before any driving of the errors of single motions, relative to their length or turn, or radians per metre
 # squared. Origin: chosen, a centimetre or a degree in a motion of a decimetre or ten degrees.
 INITIAL_SPREAD = 0.1**2
+# Radians squared per metre: variance before any driving of the error of the heading. Origin: definition, that of
+# motions of a decimetre.
+INITIAL_WALK = 0.1 * INITIAL_SPREAD
 # Factor by which odometry may over- or underestimate turns; beyond, the wheels are faulty rather than miscalibrated.
 # Origin: chosen, well beyond calibration errors; not measured.
 MAX_TURN_FACTOR = 2.0
-# Radians: motions that turn by more, as measured and as registered, are used for the factor of turning and the position
-# of odometry's frame, all others for the factor of length, for veering and for the heading of that frame.
-# Origin: chosen, several times the heading error of registration; not measured.
-MAX_STRAIGHT_TURN = math.radians(4.0)
 
 
 @immutable
@@ -95,16 +95,6 @@ class SystematicErrors:
 
 
 @compiled
-def is_turn(measured, registered):  # type: ignore[no-untyped-def]
-    """Return whether a motion is a turn, by its turns (radians) as measured and as registered.
-
-    One of them does not suffice. If wheels slip, most measured turns of a straight drive are errors, and the factor of
-    turning estimated from these would be zero; gross errors of registration look like turns, too.
-    """
-    return min(abs(measured), abs(registered)) > MAX_STRAIGHT_TURN
-
-
-@compiled
 def _systematic_errors(samples, expected):  # type: ignore[no-untyped-def]
     """Return means (6,) and variances (6,) of the errors of length, turning and veering, and of odometry's frame.
 
@@ -115,24 +105,24 @@ def _systematic_errors(samples, expected):  # type: ignore[no-untyped-def]
     between both ends this is 2 sin(t / 2) [p_y, -p_x].
     """
     count = len(samples)
-    length, veer, skew, straight = np.empty(count), np.empty(count), np.empty(count), 0
+    means, variances = np.empty(6), np.empty(6)
+    turning = np.array([1.0 + expected[1], expected[2]])
+    turning, variances[1:3] = heading_errors(samples, turning, SYSTEMATIC_SIGMAS[1:3], INITIAL_WALK, PRIOR_SAMPLES)
+    means[1], means[2] = turning[0] - 1.0, turning[1]
+    length, skew, straight = np.empty(count), np.empty(count), 0
     for k in range(count):
         ahead, left, turn = samples[k, 0], samples[k, 1], samples[k, 2]
         if abs(ahead) > MIN_MOTION_TRAVEL and not is_turn(turn, samples[k, 5]):
             extra = wrap_angle(samples[k, 5] - turn)
             length[straight] = samples[k, 3] / ahead - 1.0
-            veer[straight] = extra / ahead
             skew[straight] = (samples[k, 4] - left) / ahead - 0.5 * extra  # an arc's chord points ahead by half a turn
             straight += 1
-    means, variances = np.empty(6), np.empty(6)
     means[0], variances[0] = _posterior(length[:straight], expected[0], SYSTEMATIC_SIGMAS[0])
-    means[2], variances[2] = _posterior(veer[:straight], expected[2], SYSTEMATIC_SIGMAS[2])
     means[5], variances[5] = _posterior(skew[:straight], expected[5], SYSTEMATIC_SIGMAS[5])
-    of_turn, x, y, turning = np.empty(count), np.empty(count), np.empty(count), 0
+    x, y, turns = np.empty(count), np.empty(count), 0
     for k in range(count):
         turn, actual = samples[k, 2], samples[k, 5]
         if is_turn(turn, actual):
-            of_turn[turning] = wrap_angle(actual - means[2] * samples[k, 0]) / turn - 1.0
             half, scale = 0.5 * actual, (1.0 + means[0])
             c, s = math.cos(half), math.sin(half)
             ahead, left = c * samples[k, 3] + s * samples[k, 4], c * samples[k, 4] - s * samples[k, 3]
@@ -141,11 +131,10 @@ def _systematic_errors(samples, expected):  # type: ignore[no-untyped-def]
             ahead -= scale * (c * samples[k, 0] - s * samples[k, 1])
             left -= scale * (c * samples[k, 1] + s * samples[k, 0])
             change = 2.0 * math.sin(0.5 * turn)  # by the measured turn: that of registration may be zero
-            x[turning], y[turning] = -left / change, ahead / change
-            turning += 1
-    means[1], variances[1] = _posterior(of_turn[:turning], expected[1], SYSTEMATIC_SIGMAS[1])
-    means[3], variances[3] = _posterior(x[:turning], expected[3], SYSTEMATIC_SIGMAS[3])
-    means[4], variances[4] = _posterior(y[:turning], expected[4], SYSTEMATIC_SIGMAS[4])
+            x[turns], y[turns] = -left / change, ahead / change
+            turns += 1
+    means[3], variances[3] = _posterior(x[:turns], expected[3], SYSTEMATIC_SIGMAS[3])
+    means[4], variances[4] = _posterior(y[:turns], expected[4], SYSTEMATIC_SIGMAS[4])
     return means, variances
 
 

