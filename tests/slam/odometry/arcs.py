@@ -1,4 +1,4 @@
-"""Odometry of a robot that drives along arcs and turns in place, with several turns in all."""
+"""Odometry of a robot that drives along arcs, ahead and back, and turns in place."""
 
 import numpy as np
 
@@ -7,16 +7,16 @@ from slam.geometry.segments import Floats
 from slam.odometry.history import OdometryHistory
 
 STEP, STEP_TURN, PERIOD = 0.01, 0.02, 0.02  # metres or radians between two readings, and seconds
-LEFT_AND_RIGHT = [(1.0, 0.0), (1.2, 1.9), (0.8, -0.7), (0.0, 1.5), (1.4, -1.8), (0.6, 0.0), (1.0, 1.2)]
-ROUND = [(0.8, 0.0), (2.4, 4.0), (0.0, 2.5), (1.5, 3.0), (1.0, 0.0), (1.8, -2.5), (1.2, 3.2), (0.7, 0.0)]
-"""Lengths (metres) and turns (radians) of the arcs."""
+LEFT_AND_RIGHT = [(1.0, 0.0), (1.2, 1.9), (0.8, -0.7), (0.0, 1.5), (1.4, -1.8), (-1.6, 0.4), (1.0, 1.2)]
+ROUND = [(0.8, 0.0), (2.4, 4.0), (0.0, 2.5), (1.5, 3.0), (-1.0, 0.4), (1.8, -2.5), (1.2, 3.2), (0.7, 0.0)]
+"""Lengths (metres, negative ones are driven back) and turns (radians) of arcs."""
 
 
 def twists_of(arcs: list[tuple[float, float]]) -> Floats:
     """Return the twists (n, 3) between readings along arcs, metres, metres and radians."""
     twists = []
     for length, turn in arcs:
-        count = int(np.ceil(max(length / STEP, abs(turn) / STEP_TURN)))
+        count = int(np.ceil(max(abs(length) / STEP, abs(turn) / STEP_TURN)))
         twists += [np.array([length, 0.0, turn]) / count] * count
     return np.array(twists)
 

@@ -85,7 +85,9 @@ def test_the_covariance_of_systematic_errors_is_that_of_one_motion_too(turn: flo
 
 
 def test_a_way_in_few_parts_has_the_covariance_of_one_in_many() -> None:
-    one, many = (covariance_of(straight(3.0, parts), RATES, FLOORS, SYSTEMATIC) for parts in (1, 60))
+    turn = [3.0, 0.0, 0.25 * np.pi]
+    ways = [np.vstack([straight(3.0, parts), turn]) for parts in (1, 60)]
+    one, many = (covariance_of(way, RATES, FLOORS, SYSTEMATIC) for way in ways)
     np.testing.assert_allclose(one, many, atol=1e-12)
     few, many = (driven(np.array([[2.0, 0.0, 1.2]] * parts) / parts) for parts in (25, 200))
     assert_close(*(covariance_of(way, RATES, FLOORS, SYSTEMATIC) for way in (few, many)), 0.02)
