@@ -31,12 +31,12 @@ class DeadReckoning:
 
     def motion(self, begin: Odometry, end: Odometry) -> se2.Pose:
         """Return the motion [x, y, heading] of the base from one reading to a later one."""
-        return _end(self._way(begin, end))
+        return _end(self._path(begin, end))
 
     def measure(self, begin: Odometry, end: Odometry) -> tuple[se2.Pose, Floats]:
         """Return the motion from one reading to a later one, and its covariance (3, 3), in its end frame."""
-        way = self._way(begin, end)
-        return _end(way), self.model.way_covariance(way)
+        path = self._path(begin, end)
+        return _end(path), self.model.path_covariance(path)
 
     def motion_each(self, stamps: Floats, poses: Floats) -> Floats:
         """Return the motions (n - 1, 3) of the base from each of n readings to the next one.
@@ -53,11 +53,11 @@ class DeadReckoning:
         motions, covariances = [motion for motion, _ in measured], [covariance for _, covariance in measured]
         return np.array(motions).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3)
 
-    def _way(self, begin: Odometry, end: Odometry) -> Floats:
-        return self.model.correct_way(self.history.way(begin, end))
+    def _path(self, begin: Odometry, end: Odometry) -> Floats:
+        return self.model.correct_path(self.history.path(begin, end))
 
 
-def _end(way: Floats) -> se2.Pose:
-    """Return the last pose of a way."""
-    x, y, heading = way[-1].tolist()
+def _end(path: Floats) -> se2.Pose:
+    """Return the last pose of a path."""
+    x, y, heading = path[-1].tolist()
     return np.array([x, y, se2.wrap(heading)])

@@ -14,9 +14,9 @@ from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import CORRIDOR_LENGTH
 from .history import wheel_travel
+from .path_errors import path_covariance
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
 from .systematic_errors import MIN_MOTION_TRAVEL, PERFECT, SystematicErrors
-from .way_errors import way_covariance
 
 # Latest motions from which the random errors are estimated. Origin: chosen, some 60 m of driving; not measured.
 RANDOM_ERROR_SAMPLES = 200
@@ -146,9 +146,9 @@ class OdometryModel:
         """Return measured motions (..., 3) as motions of the base, without their systematic errors."""
         return self._systematic.correct(motion)
 
-    def correct_way(self, poses: Floats) -> Floats:
-        """Return the poses (n, 3) of a way without systematic errors, see `SystematicErrors.correct_way`."""
-        return self._systematic.correct_way(poses)
+    def correct_path(self, poses: Floats) -> Floats:
+        """Return the poses (n, 3) of a path without systematic errors, see `SystematicErrors.correct_path`."""
+        return self._systematic.correct_path(poses)
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
@@ -164,14 +164,12 @@ class OdometryModel:
 
     def covariance(self, motion: se2.Pose) -> Floats:
         """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame."""
-        return self.way_covariance(np.stack([np.zeros(3), motion]))
+        return self.path_covariance(np.stack([np.zeros(3), motion]))
 
-    def way_covariance(self, way: Floats) -> Floats:
-        """Return (3, 3) the covariance of the end of a corrected way (n, 3) relative to its begin, in its end frame."""
-        systematic = self._systematic
-        return np.asarray(
-            way_covariance(way, self._rates, self._floors, systematic.variances, systematic.turning, CORRELATION_LENGTH)
-        )
+    def path_covariance(self, path: Floats) -> Floats:
+        """Return (3, 3) the covariance of the end of a corrected path (n, 3), in its frame, relative to the begin."""
+        errors, length = self._systematic, CORRELATION_LENGTH
+        return np.asarray(path_covariance(path, self._rates, self._floors, errors.variances, errors.turning, length))
 
     def limit_information(self, information: Floats, travel: float) -> Floats:
         """Return the information (3, 3) of a pose from the points of a scan, limited by the motion during its sweep.

@@ -22,8 +22,8 @@ MAX_EXTENSION = 2.0
 # Radians: a turn between two poses of odometry is certain up to this. One of more than half a turn seems to be smaller
 # and in the other direction. Origin: definition, half of that.
 QUARTER_TURN = 0.5 * math.pi
-# Metres of wheel travel between neighbouring nodes of a way, at least. Origin: definition, motions that are shorter are
-# mostly noise.
+# Metres of wheel travel between neighbouring nodes of a path, at least. Origin: definition, shorter motions are mostly
+# noise.
 NODE_TRAVEL = 0.05
 # Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
 # Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
@@ -45,7 +45,7 @@ class OdometryHistory:
     def __init__(self) -> None:
         self._stamps, self._poses = GrowingArray(()), GrowingArray((3,))
         self._stamp_error, self._estimated_at = 0.0, 0  # and the number of readings when it was estimated
-        self._nodes, self._passed = GrowingArray((4,)), 0  # see `way`, and the readings before them
+        self._nodes, self._passed = GrowingArray((4,)), 0  # see `path`, and the readings before them
 
     @classmethod
     def from_arrays(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
@@ -140,8 +140,8 @@ class OdometryHistory:
         first, last = bisect.bisect_left(self.stamps, begin), bisect.bisect_left(self.stamps, end) + 1
         return self.stamps[first:last], self._poses.rows[first:last].copy()
 
-    def way(self, begin: Odometry, end: Odometry) -> Floats:
-        """Return (n, 3) the poses along the way from one reading to another, both included.
+    def path(self, begin: Odometry, end: Odometry) -> Floats:
+        """Return (n, 3) the path from one reading to another, both included.
 
         In between are readings that are NODE_TRAVEL apart at least, so that jitter is not taken for travel.
         """
@@ -153,7 +153,7 @@ class OdometryHistory:
         return poses
 
     def _nodes_so_far(self) -> Floats:
-        """Return (m, 4) stamps and poses of the nodes of the way; the last reading, which may change, is none yet."""
+        """Return (m, 4) stamps and poses of the nodes of the path; the last reading, which may change, is none yet."""
         count = len(self) - 1
         if self._passed < count:
             from ..geometry.pose_arrays import spaced_rows  # compiled code, which reports do without

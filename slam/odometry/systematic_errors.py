@@ -24,7 +24,7 @@ from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats
 from .heading_errors import heading_errors, is_turn
-from .way_errors import corrected_motions, corrected_way
+from .path_errors import corrected_motions, corrected_path
 
 # Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
 # error. Origin: chosen, above the accuracy of registration; not measured.
@@ -86,12 +86,12 @@ class SystematicErrors:
         corrected = corrected_motions(rows, self.length, self.turning, self.veer, self.frame)
         return np.asarray(corrected).reshape(motion.shape)
 
-    def correct_way(self, poses: Floats) -> Floats:
-        """Return the poses (n, 3) of a way without systematic errors, relative to the first, with unwrapped headings.
+    def correct_path(self, poses: Floats) -> Floats:
+        """Return the poses (n, 3) of a path without systematic errors, relative to the first, with unwrapped headings.
 
         The errors are corrected from pose to pose.
         """
-        return np.asarray(corrected_way(poses, self.length, self.turning, self.veer, self.frame))
+        return np.asarray(corrected_path(poses, self.length, self.turning, self.veer, self.frame))
 
 
 @compiled

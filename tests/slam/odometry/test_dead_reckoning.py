@@ -50,7 +50,7 @@ def readings_of(poses: Floats) -> list[Odometry]:
     ],
     ids=["length", "turning", "veer", "frame", "all"],
 )
-def test_a_motion_of_several_turns_is_exact_by_the_readings_on_the_way(errors: SystematicErrors) -> None:
+def test_a_motion_of_several_turns_is_exact_by_the_readings_on_the_path(errors: SystematicErrors) -> None:
     twists = twists_of(ROUND)
     assert twists[:, 2].sum() > 2.0 * np.pi
     measured, true, model = driven(twists), true_poses(twists, errors), model_of(errors)
@@ -71,12 +71,12 @@ def test_a_chord_of_several_turns_is_wrong() -> None:
     assert np.hypot(*se2.between(true[-1], motion)[:2]) > 0.5
 
 
-def test_the_covariance_is_that_of_the_way() -> None:
+def test_the_covariance_is_that_of_the_path() -> None:
     measured = driven(twists_of(ROUND))
     model, history, readings = model_of(ERRORS), history_of(measured), readings_of(measured)
     _, covariance = DeadReckoning(model, history).measure(readings[3], readings[-1])
-    way = model.correct_way(measured[3:])
-    of_all = model.way_covariance(way)
+    path = model.correct_path(measured[3:])
+    of_all = model.path_covariance(path)
     scale = np.sqrt(np.outer(of_all.diagonal(), of_all.diagonal()))
     np.testing.assert_allclose(covariance / scale, of_all / scale, atol=0.02)
     chord = DeadReckoning(model).measure(readings[3], readings[-1])[1]

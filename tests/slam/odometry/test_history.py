@@ -1,4 +1,4 @@
-"""Odometry history: interpolation and order of the readings, and ways along them."""
+"""Odometry history: interpolation and order of the readings, and paths along them."""
 
 from dataclasses import replace
 
@@ -85,7 +85,7 @@ def test_travel_does_not_depend_on_the_blocks_in_which_it_is_summed(monkeypatch:
     assert not len(OdometryHistory().travelled)
 
 
-def way_with_stops(random: np.random.Generator) -> OdometryHistory:
+def path_with_stops(random: np.random.Generator) -> OdometryHistory:
     """Return jittering readings of a robot that stands, drives along arcs, turns in place, and stands, twice."""
     arcs = [np.zeros((500, 3)), twists_of([(1.0, 0.0), (1.0, 1.5), (0.0, -2.0)])]
     poses = driven(np.concatenate([*arcs, *arcs, arcs[0]]))
@@ -98,79 +98,79 @@ def ends_of(history: OdometryHistory, begin: int = 0, end: int = -1) -> tuple[Od
     return first, last
 
 
-def test_a_way_leads_from_its_begin_to_its_end_in_parts_that_are_no_jitter() -> None:
-    history = way_with_stops(np.random.default_rng(0))
+def test_a_path_leads_from_its_begin_to_its_end_in_parts_that_are_no_jitter() -> None:
+    history = path_with_stops(np.random.default_rng(0))
     begin, end = ends_of(history)
-    way = history.way(begin, end)
-    np.testing.assert_array_equal(way[0], begin.pose)
-    np.testing.assert_array_equal(way[-1], end.pose)
-    travel = wheel_travel(se2.between(way[:-1], way[1:]))
+    path = history.path(begin, end)
+    np.testing.assert_array_equal(path[0], begin.pose)
+    np.testing.assert_array_equal(path[-1], end.pose)
+    travel = wheel_travel(se2.between(path[:-1], path[1:]))
     assert travel[:-1].min() >= NODE_TRAVEL
     assert travel.max() < 1.5 * NODE_TRAVEL
-    rows = [int(np.flatnonzero((history.poses == node).all(axis=1))[0]) for node in way[1:-1]]
+    rows = [int(np.flatnonzero((history.poses == node).all(axis=1))[0]) for node in path[1:-1]]
     assert rows == sorted(rows)
     driving = len(twists_of([(1.0, 0.0), (1.0, 1.5), (0.0, -2.0)]))
     stands = (np.array(rows) + 1) % (500 + driving) < 490
     assert np.count_nonzero(stands) <= 4  # the first ones after stopping; a robot that stands adds none
 
 
-def test_a_way_between_two_poses_beside_the_readings_contains_those_in_between() -> None:
-    history = way_with_stops(np.random.default_rng(0))
-    whole = history.way(*ends_of(history))
+def test_a_path_between_two_poses_beside_the_readings_contains_those_in_between() -> None:
+    history = path_with_stops(np.random.default_rng(0))
+    whole = history.path(*ends_of(history))
     begin, end = Odometry(15.003, np.array([9.0, 0.0, 0.0])), Odometry(30.001, np.array([0.0, 9.0, 1.0]))
-    way = history.way(begin, end)
-    np.testing.assert_array_equal(way[[0, -1]], [begin.pose, end.pose])
+    path = history.path(begin, end)
+    np.testing.assert_array_equal(path[[0, -1]], [begin.pose, end.pose])
     stamps = np.array([history.stamps[(history.poses == node).all(axis=1)][0] for node in whole[1:-1]])
-    np.testing.assert_array_equal(way[1:-1], whole[1:-1][(stamps > begin.stamp) & (stamps < end.stamp)])
-    np.testing.assert_array_equal(history.way(begin, begin), [begin.pose, begin.pose])
-    np.testing.assert_array_equal(OdometryHistory().way(begin, end), [begin.pose, end.pose])
+    np.testing.assert_array_equal(path[1:-1], whole[1:-1][(stamps > begin.stamp) & (stamps < end.stamp)])
+    np.testing.assert_array_equal(history.path(begin, begin), [begin.pose, begin.pose])
+    np.testing.assert_array_equal(OdometryHistory().path(begin, end), [begin.pose, end.pose])
 
 
-def test_a_way_does_not_depend_on_later_readings_nor_on_when_it_was_asked_for() -> None:
-    history, growing = way_with_stops(np.random.default_rng(0)), OdometryHistory()
+def test_a_path_does_not_depend_on_later_readings_nor_on_when_it_was_asked_for() -> None:
+    history, growing = path_with_stops(np.random.default_rng(0)), OdometryHistory()
     begin, end = ends_of(history, 3, 900)
     for count, (stamp, pose) in enumerate(zip(history.stamps.tolist(), history.poses, strict=True)):
         growing.add(Odometry(stamp, pose))
         if count % 7 == 0:
-            growing.way(begin, Odometry(stamp, pose))
+            growing.path(begin, Odometry(stamp, pose))
         if count == 900:
-            np.testing.assert_array_equal(growing.way(begin, end), history.way(begin, end))
-    np.testing.assert_array_equal(growing.way(begin, end), history.way(begin, end))
-    np.testing.assert_array_equal(growing.way(*ends_of(history)), history.way(*ends_of(history)))
-    np.testing.assert_array_equal(growing.copy().way(*ends_of(history)), history.way(*ends_of(history)))
+            np.testing.assert_array_equal(growing.path(begin, end), history.path(begin, end))
+    np.testing.assert_array_equal(growing.path(begin, end), history.path(begin, end))
+    np.testing.assert_array_equal(growing.path(*ends_of(history)), history.path(*ends_of(history)))
+    np.testing.assert_array_equal(growing.copy().path(*ends_of(history)), history.path(*ends_of(history)))
 
 
-def test_a_reading_that_was_replaced_is_not_on_the_way() -> None:
+def test_a_reading_that_was_replaced_is_not_on_the_path() -> None:
     history, expected = OdometryHistory(), OdometryHistory()
     for k in range(40):
         pose = np.array([0.03 * k, 0.0, 0.0])
         reading, late = Odometry(0.1 * k, pose), Odometry(0.1 * k - 0.05, pose + np.array([0.0, 0.1, 0.0]))
         history.add(reading)
-        history.way(Odometry(0.0, np.zeros(3)), reading)
+        history.path(Odometry(0.0, np.zeros(3)), reading)
         if k % 3 == 2:
             history.add(late)
         expected.add(replace(late, stamp=reading.stamp) if k % 3 == 2 else reading)
-    np.testing.assert_array_equal(history.way(*ends_of(expected)), expected.way(*ends_of(expected)))
+    np.testing.assert_array_equal(history.path(*ends_of(expected)), expected.path(*ends_of(expected)))
 
 
-def test_a_way_leads_along_readings_that_were_added_before_the_first() -> None:
+def test_a_path_leads_along_readings_that_were_added_before_the_first() -> None:
     history = circle_history()
     begin = Odometry(-1.5, pose_on_circle(-1.5))
     end = Odometry(1.5, pose_on_circle(1.5))
-    assert len(history.way(begin, end)) < 20
+    assert len(history.path(begin, end)) < 20
     history.extend_back(begin.stamp)
-    way = history.way(begin, end)
-    expected = OdometryHistory.from_arrays(history.stamps, history.poses).way(begin, end)
-    np.testing.assert_array_equal(way, expected)
-    assert len(way) > 25
-    assert wheel_travel(se2.between(way[:-1], way[1:])).max() < 0.2
+    path = history.path(begin, end)
+    expected = OdometryHistory.from_arrays(history.stamps, history.poses).path(begin, end)
+    np.testing.assert_array_equal(path, expected)
+    assert len(path) > 25
+    assert wheel_travel(se2.between(path[:-1], path[1:])).max() < 0.2
 
 
-def test_a_way_through_joined_histories_leads_through_all_of_them() -> None:
-    history = way_with_stops(np.random.default_rng(0))
+def test_a_path_through_joined_histories_leads_through_all_of_them() -> None:
+    history = path_with_stops(np.random.default_rng(0))
     stamps, poses, half = history.stamps, history.poses, 700
     parts = [OdometryHistory.from_arrays(stamps[rows], poses[rows]) for rows in (slice(half), slice(half, None))]
     ends = ends_of(history)
-    np.testing.assert_array_equal(OdometryHistory.joined(parts).way(*ends), history.way(*ends))
+    np.testing.assert_array_equal(OdometryHistory.joined(parts).path(*ends), history.path(*ends))
     assert len(OdometryHistory.joined([])) == 0
     assert len(parts[0]) == half

@@ -1,6 +1,6 @@
-"""Ways of odometry without their systematic errors, and the covariances of their ends, in compiled code.
+"""Paths of odometry without their systematic errors, and the covariances of their ends, in compiled code.
 
-A way is a chain of poses. Its systematic errors are corrected from pose to pose: over a turn, those of the motion from
+A path is a chain of poses. Its systematic errors are corrected from pose to pose: over a turn, those of the motion from
 its begin to its end depend on all poses in between.
 """
 
@@ -27,21 +27,21 @@ def corrected_motions(motions, length, turning, veer, frame):  # type: ignore[no
 
 
 @compiled
-def corrected_way(poses, length, turning, veer, frame):  # type: ignore[no-untyped-def]
-    """Return the poses (n, 3) of a way without systematic errors, relative to the first; their headings are unwrapped.
+def corrected_path(poses, length, turning, veer, frame):  # type: ignore[no-untyped-def]
+    """Return the poses (n, 3) of a path without systematic errors, relative to the first; their headings are unwrapped.
 
     poses  (n, 3) as measured
     """
-    way = np.zeros(poses.shape)
+    path = np.zeros(poses.shape)
     for k in range(1, len(poses)):
         x, y = poses[k, 0] - poses[k - 1, 0], poses[k, 1] - poses[k - 1, 1]
         c, s = math.cos(poses[k - 1, 2]), math.sin(poses[k - 1, 2])
         turn = wrap_angle(poses[k, 2] - poses[k - 1, 2])
         x, y, turn = _corrected(c * x + s * y, c * y - s * x, turn, length, turning, veer, frame)
-        c, s = math.cos(way[k - 1, 2]), math.sin(way[k - 1, 2])
-        way[k, 0], way[k, 1] = way[k - 1, 0] + c * x - s * y, way[k - 1, 1] + s * x + c * y
-        way[k, 2] = way[k - 1, 2] + turn
-    return way
+        c, s = math.cos(path[k - 1, 2]), math.sin(path[k - 1, 2])
+        path[k, 0], path[k, 1] = path[k - 1, 0] + c * x - s * y, path[k - 1, 1] + s * x + c * y
+        path[k, 2] = path[k - 1, 2] + turn
+    return path
 
 
 @inlined
@@ -57,10 +57,10 @@ def _corrected(ahead, left, turned, length, turning, veer, frame):  # type: igno
 
 
 @compiled
-def way_covariance(way, rates, floors, systematic, turning, correlation_length):  # type: ignore[no-untyped-def]
-    """Return (3, 3) the covariance of the end of a corrected way relative to its begin, in the frame of the end.
+def path_covariance(path, rates, floors, systematic, turning, correlation_length):  # type: ignore[no-untyped-def]
+    """Return (3, 3) the covariance of the end of a corrected path relative to its begin, in the frame of the end.
 
-    way         (n, 3) poses with unwrapped headings, see `corrected_way`
+    path         (n, 3) poses with unwrapped headings, see `corrected_path`
     rates       (4,) variances of the random errors, see `OdometryModel`
     floors      (2,) standard deviations of a single reading
     systematic  (6,) variances of the systematic errors, see `SystematicErrors`
@@ -68,24 +68,24 @@ def way_covariance(way, rates, floors, systematic, turning, correlation_length):
     correlation_length  metres of travel up to which the errors of the position are taken as equal
 
     An error of the heading that is made at p moves the end e by the error across e - p. Over a straight part m of the
-    way with the middle q, the mean square of e - p is that of e - q, and m^2 / 12 along it. With the rate of its
+    path with the middle q, the mean square of e - p is that of e - q, and m^2 / 12 along it. With the rate of its
     variance this gives the random walk of the heading, and weighted with turns or ways ahead, the errors by the factor
     of turns and by veering. The position errs in proportion to the travel up to the correlation length, and as a random
     walk beyond. An error e of the position of odometry's frame moves the end by (R - I) e, with the rotation R by the
     negative turn.
     """
-    end = way[-1]
+    end = path[-1]
     c, s = math.cos(end[2]), math.sin(end[2])
     xx, xy, yy = 0.0, 0.0, 0.0
     walk, x_walk, y_walk, xx_walk, xy_walk, yy_walk = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     turned, x_turned, y_turned, ahead, x_ahead, y_ahead = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     travelled = 0.0
-    for k in range(1, len(way)):
-        x, y, turn = way[k, 0] - way[k - 1, 0], way[k, 1] - way[k - 1, 1], way[k, 2] - way[k - 1, 2]
-        step_ahead = math.cos(way[k - 1, 2]) * x + math.sin(way[k - 1, 2]) * y
+    for k in range(1, len(path)):
+        x, y, turn = path[k, 0] - path[k - 1, 0], path[k, 1] - path[k - 1, 1], path[k, 2] - path[k - 1, 2]
+        step_ahead = math.cos(path[k - 1, 2]) * x + math.sin(path[k - 1, 2]) * y
         travel = math.hypot(x, y) + TRAVEL_PER_RADIAN * abs(turn)
-        # in the frame of the end: the rest of the way from the middle of this part, and this part
-        x_rest, y_rest = end[0] - way[k, 0] + 0.5 * x, end[1] - way[k, 1] + 0.5 * y
+        # in the frame of the end: the rest of the path from the middle of this part, and this part
+        x_rest, y_rest = end[0] - path[k, 0] + 0.5 * x, end[1] - path[k, 1] + 0.5 * y
         x_rest, y_rest, x, y = c * x_rest + s * y_rest, c * y_rest - s * x_rest, c * x + s * y, c * y - s * x
         variance = rates[2] * travel + rates[3] * abs(turn)
         if abs(turn) > QUARTER_TURN:  # two poses do not tell its direction
@@ -103,7 +103,7 @@ def way_covariance(way, rates, floors, systematic, turning, correlation_length):
         x_ahead += step_ahead * x_rest
         y_ahead += step_ahead * y_rest
         travelled += travel
-        cos, sin = math.cos(way[k, 2] - end[2]), math.sin(way[k, 2] - end[2])
+        cos, sin = math.cos(path[k, 2] - end[2]), math.sin(path[k, 2] - end[2])
         along, across = travel * rates[0], travel * rates[1]
         xx += along * cos * cos + across * sin * sin
         xy += (along - across) * cos * sin
@@ -114,8 +114,8 @@ def way_covariance(way, rates, floors, systematic, turning, correlation_length):
     covariance[0, 1] = length * xy - xy_walk
     covariance[1, 1] = length * yy + floors[0] ** 2 + xx_walk
     covariance[0, 2], covariance[1, 2], covariance[2, 2] = -y_walk, x_walk, walk + floors[1] ** 2
-    x, y = end[0] - way[0, 0], end[1] - way[0, 1]
-    x, y, turn = c * x + s * y, c * y - s * x, end[2] - way[0, 2]
+    x, y = end[0] - path[0, 0], end[1] - path[0, 1]
+    x, y, turn = c * x + s * y, c * y - s * x, end[2] - path[0, 2]
     c, s = math.cos(turn) - 1.0, math.sin(turn)
     _add_square(covariance, systematic[0], x, y, 0.0)
     _add_square(covariance, systematic[1], -y_turned, x_turned, turned)
