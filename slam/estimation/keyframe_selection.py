@@ -102,10 +102,8 @@ def learn_motion(state: SlamState, odometry: Odometry, tracking: TrackingResult)
     """Learn from the difference between odometry's motion since `learned_until` and the one that the scan shows."""
     start = state.learned_until or state.anchor
     assert start is not None
-    measured, by_scan = (
-        se2.between(start.odometry.pose, odometry.pose),
-        se2.between(state.pose_of(start), tracking.scan_pose),
-    )
+    measured = se2.between(start.odometry.pose, odometry.pose)
+    by_scan = se2.between(state.pose_of(start), tracking.scan_pose)
     information = tracking.registration.total_information
     if start.covariance.any():
         information = inverse(inverse(information + CONDITIONING) + covariance_after(start.covariance, by_scan))
