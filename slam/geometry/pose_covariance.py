@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from drivers import se2
 
 from .segments import Floats
+
+# Metres, metres, radians: standard deviations of a tracked pose, relative to its keyframe.
+# Origin: chosen; no measurement recorded.
+POSE_SIGMAS = np.array([0.02, 0.02, math.radians(1.0)])
 
 
 def covariance_after(covariance: Floats, motion: se2.Pose) -> Floats:

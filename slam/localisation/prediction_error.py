@@ -14,8 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.normal_distribution import NORMAL_MEDIAN, NORMAL_MEDIAN_ERROR
+from ..geometry.pose_covariance import POSE_SIGMAS
 from ..geometry.segments import Floats
-from ..odometry.error_model import POSE_SIGMAS, RANDOM_ERROR_SAMPLES
+from ..odometry.error_model import RANDOM_ERROR_SAMPLES
 from ..odometry.systematic_errors import PRIOR_SAMPLES
 
 # Metres, metres, radians: standard deviations before any scan. Origin: definition, those of the poses.

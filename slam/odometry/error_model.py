@@ -26,9 +26,6 @@ MAX_MOTION_SAMPLES = 500
 # Metres: motions are not used for learning if the standard deviation of registration exceeds this in some direction.
 # Origin: chosen, about the odometry error of one motion; not measured.
 MAX_LEARNING_SIGMA = 0.05
-# Metres, metres, radians: standard deviations of a tracked pose, relative to its keyframe.
-# Origin: chosen; no measurement recorded.
-POSE_SIGMAS = np.array([0.02, 0.02, math.radians(1.0)])
 # Metres: drift is correlated in a direction in which the standard deviation of registration exceeds this.
 # Origin: chosen, worse than odometry over some metres; not measured.
 UNOBSERVED_SIGMA = 0.3

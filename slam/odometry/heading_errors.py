@@ -13,19 +13,20 @@ import math
 import numpy as np
 
 from drivers.compiled import compiled
-from features.normal_limits import GROSS_LIMIT
+from features.normal_limits import GROSS_LIMIT, NORMAL_LIMIT
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_SCALE
+from ..geometry.pose_covariance import POSE_SIGMAS
 from .history import TRAVEL_PER_RADIAN
 
 # Metres of wheel travel over which motions are summed. Origin: measured, on seven recordings dead reckoning over 20 m
 # errs least with 1 to 2 m: by up to a quarter less than with the medians of single motions.
 SUMMED_TRAVEL = 1.0
-# Radians: motions that turn by more, as measured and as registered, are turns. Origin: chosen, several times the
-# heading error of registration; not measured.
-MAX_STRAIGHT_TURN = math.radians(4.0)
+# Radians: motions that turn by more, as measured and as registered, are turns. Origin: definition, more than the errors
+# of the headings at both ends explain.
+MAX_STRAIGHT_TURN = NORMAL_LIMIT * math.sqrt(2.0) * float(POSE_SIGMAS[2])
 # Standard deviations beyond which an error counts with a constant instead of a growing force. Origin: definition, for
 # an efficiency of 95 % with normal errors (Huber 1964).
 HUBER_LIMIT = 1.345

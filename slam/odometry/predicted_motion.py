@@ -10,7 +10,8 @@ from drivers import se2
 
 from ..config import OdometryConfig
 from ..geometry.normal_distribution import NORMAL_MEDIAN, PLANE_MEDIAN
-from .error_model import POSE_SIGMAS, OdometryModel
+from ..geometry.pose_covariance import POSE_SIGMAS
+from .error_model import OdometryModel
 from .systematic_errors import PRIOR_SAMPLES, SystematicErrors
 
 # Metres and radians: errors of a prediction before any driving. Origin: chosen, an acceleration of 1 m/s^2 or 3 rad/s^2

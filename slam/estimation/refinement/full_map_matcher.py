@@ -20,6 +20,7 @@ from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ...geometry.angles import wrap_angle
+from ...geometry.pose_covariance import POSE_SIGMAS
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
 from ...geometry.surroundings import INDOOR_RANGE, ROOM_SIZE
@@ -35,7 +36,7 @@ from ...matching.landmark_equations import MATCH_CAUCHY_SCALE
 from ...matching.line_matcher import Registration
 from ...matching.point_matcher import PointMatch, Prediction
 from ...matching.scan_features import ScanFeatures
-from ...odometry.error_model import POSE_SIGMAS, OdometryModel
+from ...odometry.error_model import OdometryModel
 from ...odometry.measurement_clock import MeasurementClock
 from ...odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
 from ...preprocessing.scan_sequence import ScanSequence
