@@ -47,7 +47,7 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
     assert set(expectations) == {DOUBTED}
 
 
-@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8721, 8726))])
+@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (9020, 9029))])
 def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int, expectations: list[Expectation]) -> None:
     """Two thirds of what the lidar sees in the room fit a metre beside the right place, but not the long walls."""
     run = run_world("moved_furniture", seed, "half-circle")
@@ -71,7 +71,7 @@ def test_an_office_that_is_not_mapped_is_not_taken_for_an_equal_one() -> None:
 
     The right place may be an equal one that is not mapped yet, as that of a lost robot, see test_drive_scans.
     """
-    run = run_world("equal_offices", 8852, "half-circle")
+    run = run_world("equal_offices", 9012, "half-circle")
     assert run.needed
     assert not run.wrong
 
