@@ -198,7 +198,7 @@ class Slam:
 
     def _use_odometry(self, history: OdometryHistory) -> None:
         """Append the readings to a history from now on, and predict motions by it."""
-        self._preprocessor.odometry = self.slam_state.odometry.history = history
+        self._preprocessor.odometry = self.slam_state.dead_reckoning.history = history
 
     def _place(self, scan: ProcessedScan, pose: se2.Pose) -> None:
         """Move the robot to the pose that was set, if the scan fits near it."""

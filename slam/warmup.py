@@ -136,7 +136,7 @@ def compile_estimation() -> None:
     estimator, scans = Estimator(state), []
     for message in _drive():
         if isinstance(message, Odometry):
-            state.odometry.history.add(message)
+            state.dead_reckoning.history.add(message)
             odometry = message.pose
         else:
             scans.append(_seen_features(message, odometry))
@@ -146,7 +146,7 @@ def compile_estimation() -> None:
     _check_loop(state)
     state.mapper.graph.residuals()
     converge(state.mapper)
-    history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, [state.odometry.history])
+    history = build_scan_history(scans, state.trajectory, state.keyframe_stamps, [state.dead_reckoning.history])
     path_distances = state.local_field.path_distances(state.mapper.travelled)
     state.trajectory = match_trajectory(state.mapper, history, state.odometry_model, path_distances)
     placed = state.trajectory.at_scans(state.mapper.keyframe_poses)

@@ -60,8 +60,8 @@ def drive_of(
     found = np.minimum(np.searchsorted(stamps, of_scans), max(len(stamps) - 1, 0))
     rows = np.flatnonzero(stamps[found] == of_scans) if len(stamps) else np.zeros(0, dtype=np.int64)
     segment = np.searchsorted(np.asarray(segments.starts, dtype=np.int64), rows, side="right")
-    odometry = DeadReckoning(odometry_model, OdometryHistory.joined(segments.histories))
-    motions = odometry.motion_each(of_scans[rows], scans.odometry[rows])
+    dead_reckoning = DeadReckoning(odometry_model, OdometryHistory.joined(segments.histories))
+    motions = dead_reckoning.motions(of_scans[rows], scans.odometry[rows])
     return Drive(
         stamps=of_scans[rows],
         poses=poses[found[rows]],

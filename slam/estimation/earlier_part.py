@@ -91,7 +91,7 @@ class EarlierPart:
 
         True also without odometry, whose motions are those between the poses of the new part.
         """
-        motion, covariance = self.state.odometry.measure(self._last_seen.odometry, odometry)
+        motion, covariance = self.state.dead_reckoning.motion_and_covariance(self._last_seen.odometry, odometry)
         information = inverse(covariance + np.diag(PREDICTION_SIGMAS**2))
         predicted = Prediction(se2.compose(self._last_seen.pose, motion), information)
         return not self.state.odometry_model.measured or not predicted.excludes(pose)

@@ -48,7 +48,7 @@ def motion_since(state: SlamState, anchor: Anchor, odometry: Odometry, tracking:
             motion, covariance = registered, model.covariance(registered)
         else:
             learn_motion(state, odometry, tracking)
-            motion, covariance = state.odometry.measure(anchor.odometry, odometry)
+            motion, covariance = state.dead_reckoning.motion_and_covariance(anchor.odometry, odometry)
             if state.slipped:  # odometry is wrong by as much as registration says
                 covariance = covariance + np.diag(se2.between(motion, registered) ** 2)
         correlated_drift = model.correlated_drift(motion, registration.total_information)

@@ -56,6 +56,6 @@ def relocalise(state: SlamState, joined: SlamState, odometry: Odometry) -> None:
         if known[keyframe]:
             nearest, pose = relative_to_nearest(old_poses, se2.compose(poses[keyframe], relative))
             state.trajectory.add(float(stamp), nearest, pose, information)
-    state.odometry.model = joined.odometry_model
+    state.dead_reckoning.model = joined.odometry_model
     nearest, pose = relative_to_nearest(old_poses, joined.pose)
     state.move_to(se2.compose(state.mapper.keyframe_poses[nearest], pose), odometry)

@@ -24,8 +24,7 @@ from ..mapping.data_association import RowAssociation, associate
 from ..mapping.keyframes import KeyframeObservations, WallMerge
 from ..mapping.local_map import LOCAL_MAP_MARGIN
 from ..mapping.mapper import Mapper
-from ..odometry.history import wheel_travel
-from ..odometry.systematic_errors import MIN_MOTION_TRAVEL
+from ..odometry.history import MIN_MOTION_TRAVEL, wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
 from .keyframe_links import link_revisited, undetermined_share
 from .keyframe_motions import motion_since, relative_scan_matches
@@ -133,7 +132,7 @@ def _add_last_tracked(state: SlamState, timer: StageTimer) -> KeyframeUpdate | N
     if last is None or state.anchor is None or state.frozen:
         return None
     scan, tracking = last
-    motion, covariance = state.odometry.measure(state.anchor.odometry, scan.reading)
+    motion, covariance = state.dead_reckoning.motion_and_covariance(state.anchor.odometry, scan.reading)
     odometry_tells_more = is_positive_definite(inverse(covariance) - tracking.registration.total_information)
     if odometry_tells_more or wheel_travel(motion) < MIN_MOTION_TRAVEL:
         return None

@@ -48,7 +48,7 @@ class SlamState:
 
     mapper               graph, landmarks and keyframes
     trajectory           poses of all tracked scans, relative to keyframes
-    odometry             readings of odometry with their learned errors
+    dead_reckoning       readings of odometry with their learned errors
     unmeasured_model     errors of motions that are predicted while odometry is failing
     tracker              last pose fix and the other state of tracking
     loops                search for loop closures
@@ -74,10 +74,10 @@ class SlamState:
     def __init__(self, config: Config, loops: LoopAgreement | None = None) -> None:
         self.config = config
         self.mapper = Mapper()
-        self.odometry = DeadReckoning(motion_model(config.odometry))
+        self.dead_reckoning = DeadReckoning(motion_model(config.odometry))
         self.unmeasured_model = PredictedMotionModel(config.odometry)
         self.trajectory = TrajectoryBuilder()
-        self.tracker = Tracker(self.odometry)
+        self.tracker = Tracker(self.dead_reckoning)
         self.loops = loops or LoopAgreement()
         self.joins = JoinSearch()
         self.keyframe_stamps: list[float] = []
@@ -138,13 +138,13 @@ class SlamState:
 
     def replace_odometry(self, config: Config) -> None:
         """Use another source of odometry from now on, whose errors are not known yet."""
-        self.config, self.odometry.model = config, motion_model(config.odometry)
+        self.config, self.dead_reckoning.model = config, motion_model(config.odometry)
         self.unmeasured_model = PredictedMotionModel(config.odometry)
 
     @property
     def odometry_model(self) -> OdometryModel:
         """Learned errors of odometry."""
-        return self.odometry.model
+        return self.dead_reckoning.model
 
     def copy(self) -> SlamState:
         """Return a copy to return to, or to try a change on."""

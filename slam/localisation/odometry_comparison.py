@@ -91,7 +91,7 @@ class OdometryComparison:
     def add(
         self,
         compared: ComparedFix,
-        odometry: DeadReckoning,
+        dead_reckoning: DeadReckoning,
         prediction_error: Floats,
         is_certain: Callable[[Prediction], bool],
     ) -> None:
@@ -102,7 +102,7 @@ class OdometryComparison:
         the motion. After STEADY_SECONDS of that, odometry is used again: a robot may have any velocity by then. A
         contradiction counts if it is certain, and if the robot moves evenly by the scans.
 
-        odometry          that is compared
+        dead_reckoning    that is compared
         prediction_error  (3, 3) covariance of predictions besides that of odometry
         is_certain        returns True if a contradiction between the scan and a prediction by odometry is certain
         """
@@ -111,7 +111,7 @@ class OdometryComparison:
             self._begin(fix, compared.velocity)
             return
         self._seconds += compared.seconds
-        motion, covariance = odometry.measure(self._start.odometry, fix.odometry)
+        motion, covariance = dead_reckoning.motion_and_covariance(self._start.odometry, fix.odometry)
         by_scans = se2.between(self._start.pose, fix.pose)
         if max(wheel_travel(motion), wheel_travel(by_scans)) < COMPARED_TRAVEL:
             return

@@ -35,11 +35,11 @@ class PosePredictor:
 
     While odometry is failing, each motion is predicted to be even, as without odometry.
 
-    odometry  which predicts the motion
+    dead_reckoning  of the base; it predicts the motion
     """
 
-    def __init__(self, odometry: DeadReckoning) -> None:
-        self._odometry = odometry
+    def __init__(self, dead_reckoning: DeadReckoning) -> None:
+        self._dead_reckoning = dead_reckoning
         self._fix: PoseFix | None = None
         self._reference: PoseFix | None = None  # from which odometry predicts
         self._tentative: TentativePose | None = None  # of the last scan
@@ -67,12 +67,12 @@ class PosePredictor:
     @property
     def measured(self) -> bool:
         """True if odometry measures the motion: there is odometry, and it is not failing."""
-        return self._odometry.model.measured and not self._comparison.failing
+        return self._dead_reckoning.model.measured and not self._comparison.failing
 
     @property
     def odometry_failing(self) -> bool:
         """True if there is odometry, but it is failing, so that the motion is predicted without it."""
-        return self._odometry.model.measured and self._comparison.failing
+        return self._dead_reckoning.model.measured and self._comparison.failing
 
     def stop_odometry(self) -> None:
         """Take odometry as failing, as its readings have stopped, until it agrees with the scans again."""
@@ -117,7 +117,7 @@ class PosePredictor:
         """Return True if the wheels hardly moved from the last fix to a later reading: the robot may be carried."""
         if self._fix is None or not self.measured:
             return False
-        return bool(wheel_travel(self._odometry.motion(self._fix.odometry, odometry)) <= MAX_TRAVEL)
+        return bool(wheel_travel(self._dead_reckoning.motion(self._fix.odometry, odometry)) <= MAX_TRAVEL)
 
     @property
     def stood_in_gap(self) -> bool:
@@ -157,7 +157,7 @@ class PosePredictor:
         """Return the base's pose in the map, by odometry alone since the last fix."""
         if self._fix is None:
             return np.zeros(3)
-        return se2.compose(self._fix.pose, self._odometry.motion(self._fix.odometry, odometry))
+        return se2.compose(self._fix.pose, self._dead_reckoning.motion(self._fix.odometry, odometry))
 
     def predict(self, odometry: Odometry) -> Predictions:
         """Return the predictions of the pose at a scan, given the reading of odometry at its stamp."""
@@ -229,13 +229,13 @@ class PosePredictor:
             self._velocity.correct(se2.between(self._fix.pose, fix.pose), result.registered_covariance, self._since_fix)
         if result.slipped and self.measured:
             self._before_slip, self._since_slip = self._reference, 0.0
-        if result.slipped or not self._odometry.model.measured:  # odometry continues from here
+        if result.slipped or not self._dead_reckoning.model.measured:  # odometry continues from here
             self._reference = fix
-        if self._odometry.model.measured:
+        if self._dead_reckoning.model.measured:
             # Between scans that are farther apart, an even motion predicts nothing: odometry that fails is better.
             seconds = (self._since_fix or 0.0) if self._interval <= STEADY_SECONDS else 0.0
             compared = ComparedFix(fix, result.registration.total_information, self._velocity, seconds)
-            self._comparison.add(compared, self._odometry, self._prediction_error.covariance, is_certain)
+            self._comparison.add(compared, self._dead_reckoning, self._prediction_error.covariance, is_certain)
             if before is not None and before.followed is not None:
                 self._comparison.add_slip(before.followed.duration)
         self._slips.add(slipped=result.slipped)
@@ -260,7 +260,7 @@ class PosePredictor:
             even, uneven = (self._even_motion(self._fix.pose, seconds, cost) for cost in (0.0, SlipStatistics().cost))
             return self._unmeasured(even, uneven, seconds, seconds)
         slip = self._even_motion(self._fix.pose, self._since_fix or 0.0, self._slips.cost)
-        if not self._odometry.model.measured:
+        if not self._dead_reckoning.model.measured:
             usual = self._by_odometry(self._reference, odometry, None)
             return self._unmeasured(usual, slip, self._since_fix or 0.0, interval)
         inertia = slip if self._since_fix is not None else None
@@ -282,7 +282,7 @@ class PosePredictor:
         self, reference: PoseFix, odometry: Odometry, inertia: Prediction | None, cost: float = 0.0
     ) -> Prediction:
         """Return the prediction if the robot has moved from the reference as odometry says."""
-        motion, covariance = self._odometry.measure(reference.odometry, odometry)
+        motion, covariance = self._dead_reckoning.motion_and_covariance(reference.odometry, odometry)
         covariance = covariance + self._prediction_error.covariance
         if reference.covariance.any():
             covariance += covariance_after(reference.covariance, motion)

@@ -52,8 +52,8 @@ MAX_UNTRACKED_SCANS = 4
 class Tracker:
     """Pose tracking from the last fix on."""
 
-    def __init__(self, odometry: DeadReckoning) -> None:
-        self._odometry, self._predictor = odometry, PosePredictor(odometry)
+    def __init__(self, dead_reckoning: DeadReckoning) -> None:
+        self._dead_reckoning, self._predictor = dead_reckoning, PosePredictor(dead_reckoning)
         self._untracked_in_a_row = 0
         self._carried = False  # since the fix, although the wheels stood
         self._last_score = 0.0  # of the last tracked scan
@@ -160,7 +160,7 @@ class Tracker:
         failed = status is TrackingStatus.FAILED
         differs = self._views.add(
             View(odometry, scan.points.xy),
-            self._odometry,
+            self._dead_reckoning,
             suspicious=suspicious and self.measured,
             fits_nowhere=failed,
         )

@@ -114,7 +114,7 @@ class ViewComparison:
         """True if the view has changed abruptly within the last metres."""
         return bool(self._travel_since_change < VIEW_CHANGE_MEMORY)
 
-    def add(self, view: View, odometry: DeadReckoning, *, suspicious: bool, fits_nowhere: bool) -> bool:
+    def add(self, view: View, dead_reckoning: DeadReckoning, *, suspicious: bool, fits_nowhere: bool) -> bool:
         """Add the view of a scan. Return True if the scan is suspicious and shows another place than the last one.
 
         No scan is suspicious if odometry does not measure the motion: the robot may have driven in between.
@@ -123,7 +123,7 @@ class ViewComparison:
         """
         if self._last is not None:
             self._travel_since_change += float(wheel_travel(se2.between(self._last.pose, view.odometry.pose)))
-        differs = suspicious and self._differs(view, odometry, 2 if fits_nowhere else 1)
+        differs = suspicious and self._differs(view, dead_reckoning, 2 if fits_nowhere else 1)
         if differs:
             self._travel_since_change = 0.0
         self._last = view.odometry
@@ -131,14 +131,14 @@ class ViewComparison:
             self._views = [view, *self._views[:1]]
         return differs
 
-    def _differs(self, view: View, odometry: DeadReckoning, count: int) -> bool:
+    def _differs(self, view: View, dead_reckoning: DeadReckoning, count: int) -> bool:
         """Return True if a view shows another place than one of the last `count`, or if it is the first one.
 
         False without enough points for a comparison.
         """
         if not self._views:
             return self._last is None
-        motions = [odometry.motion(other.odometry, view.odometry) for other in self._views[:count]]
+        motions = [dead_reckoning.motion(other.odometry, view.odometry) for other in self._views[:count]]
         return any(other.differs_from(view, motion) for other, motion in zip(self._views, motions, strict=False))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from itertools import pairwise
 
 import numpy as np
@@ -19,42 +20,46 @@ class DeadReckoning:
     """Readings of odometry and their error model: the motion between any two moments.
 
     model    learned errors of the readings
-    history  readings up to the last scan at least; without them, the motion from one scan to another is one chord
+    history  readings, up to the last scan at least; without them, a motion is corrected as one arc
     """
 
     def __init__(self, model: OdometryModel, history: OdometryHistory | None = None) -> None:
         self.model, self.history = model, OdometryHistory() if history is None else history
 
     def __deepcopy__(self, memo: dict[int, object]) -> DeadReckoning:
-        """Return a copy with a model of its own. The readings are common: what is asked about them stays as it is."""
+        """Return a copy with a model of its own. It shares the readings: later ones do not change earlier motions."""
         return DeadReckoning(copy.deepcopy(self.model, memo), self.history)
 
     def motion(self, begin: Odometry, end: Odometry) -> se2.Pose:
         """Return the motion [x, y, heading] of the base from one reading to a later one."""
         return _end(self._path(begin, end))
 
-    def measure(self, begin: Odometry, end: Odometry) -> tuple[se2.Pose, Floats]:
+    def motion_and_covariance(self, begin: Odometry, end: Odometry) -> tuple[se2.Pose, Floats]:
         """Return the motion from one reading to a later one, and its covariance (3, 3), in its end frame."""
         path = self._path(begin, end)
         return _end(path), self.model.path_covariance(path)
 
-    def motion_each(self, stamps: Floats, poses: Floats) -> Floats:
+    def motions(self, stamps: Floats, poses: Floats) -> Floats:
         """Return the motions (n - 1, 3) of the base from each of n readings to the next one.
 
         stamps, poses  (n,) seconds, increasing, and (n, 3) of the readings
         """
-        readings = [Odometry(stamp, pose) for stamp, pose in zip(stamps.tolist(), poses, strict=True)]
-        return np.array([self.motion(*pair) for pair in pairwise(readings)]).reshape(-1, 3)
+        motions = [self.motion(*pair) for pair in _pairs(stamps, poses)]
+        return np.array(motions).reshape(-1, 3)
 
-    def measure_each(self, stamps: Floats, poses: Floats) -> tuple[Floats, Floats]:
+    def motions_and_covariances(self, stamps: Floats, poses: Floats) -> tuple[Floats, Floats]:
         """Return the same motions with their covariances (n - 1, 3, 3), in their end frames."""
-        readings = [Odometry(stamp, pose) for stamp, pose in zip(stamps.tolist(), poses, strict=True)]
-        measured = [self.measure(*pair) for pair in pairwise(readings)]
-        motions, covariances = [motion for motion, _ in measured], [covariance for _, covariance in measured]
+        found = [self.motion_and_covariance(*pair) for pair in _pairs(stamps, poses)]
+        motions, covariances = [motion for motion, _ in found], [covariance for _, covariance in found]
         return np.array(motions).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3)
 
     def _path(self, begin: Odometry, end: Odometry) -> Floats:
         return self.model.correct_path(self.history.path(begin, end))
+
+
+def _pairs(stamps: Floats, poses: Floats) -> Iterator[tuple[Odometry, Odometry]]:
+    """Return the pairs of neighbouring readings with stamps (n,) and poses (n, 3)."""
+    return pairwise(Odometry(stamp, pose) for stamp, pose in zip(stamps.tolist(), poses, strict=True))
 
 
 def _end(path: Floats) -> se2.Pose:

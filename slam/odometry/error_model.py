@@ -13,10 +13,10 @@ from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import CORRIDOR_LENGTH
-from .history import wheel_travel
+from .history import MIN_MOTION_TRAVEL, wheel_travel
 from .path_errors import path_covariance
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
-from .systematic_errors import MIN_MOTION_TRAVEL, PERFECT, SystematicErrors
+from .systematic_errors import PERFECT, SystematicErrors
 
 # Latest motions from which the random errors are estimated. Origin: chosen, some 60 m of driving; not measured.
 RANDOM_ERROR_SAMPLES = 200

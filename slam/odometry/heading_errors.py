@@ -1,9 +1,9 @@
 """Systematic errors of the heading: a factor of turns, and veering in proportion to the way ahead.
 
-They are those of a robust linear regression (Huber 1964) over sums of motions. The stamps of odometry and of the scans
-are not exact, so a turn may be measured in another motion than the one in which it is registered, and both are off by
-the same angle in opposite directions. In a sum they cancel. The median of single ones would not see that: many small
-errors one way, and few large ones the other way, would count as a systematic error.
+They follow from a robust linear regression (Huber 1964) over sums of motions. The stamps of odometry and of the scans
+are not exact, so a part of a turn may be measured in one motion and registered in the next one. Both are then off by
+the same angle in opposite directions, which cancels in their sum. In the median of single motions, many small errors
+one way and few large ones the other way would seem to be a systematic error.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ def heading_errors(samples, expected, sigmas, walk, prior_samples):  # type: ign
     sigmas    (2,) their standard deviations
     walk, prior_samples  variance of the heading per metre before the drive, and the number of sums it counts for
 
-    The difference of the turns is regressed on the measured turn, if the motion is one, and on the way ahead: first of
-    single motions, to know the usual errors, then of sums, without those with gross errors.
+    The difference between both turns is regressed on the measured turn and on the way ahead. That of single motions
+    gives the usual errors; then sums are regressed, without those with gross errors.
     """
     prior = np.array([expected[0] - 1.0, expected[1], sigmas[0] ** -2.0, sigmas[1] ** -2.0])
     share, veer, of_share, of_veer, variance = prior[0], prior[1], sigmas[0] ** 2, sigmas[1] ** 2, walk

@@ -22,9 +22,9 @@ MAX_EXTENSION = 2.0
 # Radians: a turn between two poses of odometry is certain up to this. One of more than half a turn seems to be smaller
 # and in the other direction. Origin: definition, half of that.
 QUARTER_TURN = 0.5 * math.pi
-# Metres of wheel travel between neighbouring nodes of a path, at least. Origin: definition, shorter motions are mostly
-# noise.
-NODE_TRAVEL = 0.05
+# Metres of wheel travel of a motion, at least: shorter ones are mostly the noise of odometry, or of registration.
+# Origin: chosen, above the accuracy of registration; not measured.
+MIN_MOTION_TRAVEL = 0.05
 # Metres of travel that one radian of turning counts for: about half the distance between a robot's wheels, and a bit.
 # Origin: geometry, wheels of small robots are 0.2 to 0.4 m apart.
 TRAVEL_PER_RADIAN = 0.25
@@ -143,7 +143,7 @@ class OdometryHistory:
     def path(self, begin: Odometry, end: Odometry) -> Floats:
         """Return (n, 3) the path from one reading to another, both included.
 
-        In between are readings that are NODE_TRAVEL apart at least, so that jitter is not taken for travel.
+        In between are readings that are MIN_MOTION_TRAVEL apart at least, so that jitter is not taken for travel.
         """
         nodes = self._nodes_so_far()
         stamps = nodes[:, 0]
@@ -160,7 +160,7 @@ class OdometryHistory:
 
             last = self._nodes.rows[-1, 1:] if len(self._nodes) else self._poses.rows[0]
             poses = self._poses.rows[self._passed : count]
-            for row in spaced_rows(last, poses, NODE_TRAVEL, TRAVEL_PER_RADIAN).tolist():
+            for row in spaced_rows(last, poses, MIN_MOTION_TRAVEL, TRAVEL_PER_RADIAN).tolist():
                 self._nodes.append([self._stamps.rows[self._passed + row], *poses[row]])
             self._passed = count
         return self._nodes.rows

@@ -1,7 +1,7 @@
 """Paths of odometry without their systematic errors, and the covariances of their ends, in compiled code.
 
-A path is a chain of poses. Its systematic errors are corrected from pose to pose: over a turn, those of the motion from
-its begin to its end depend on all poses in between.
+A path is a chain of poses. Its systematic errors are corrected from pose to pose, as those of the whole motion depend
+on where the robot has turned.
 """
 
 from __future__ import annotations
@@ -60,19 +60,20 @@ def _corrected(ahead, left, turned, length, turning, veer, frame):  # type: igno
 def path_covariance(path, rates, floors, systematic, turning, correlation_length):  # type: ignore[no-untyped-def]
     """Return (3, 3) the covariance of the end of a corrected path relative to its begin, in the frame of the end.
 
-    path         (n, 3) poses with unwrapped headings, see `corrected_path`
+    path        (n, 3) poses with unwrapped headings, see `corrected_path`
     rates       (4,) variances of the random errors, see `OdometryModel`
     floors      (2,) standard deviations of a single reading
     systematic  (6,) variances of the systematic errors, see `SystematicErrors`
-    turning     factor of turns, which a turn that seems to be in the other direction is corrected by wrongly
+    turning     factor that turns were corrected by: wrongly, if a large one was in the other direction
     correlation_length  metres of travel up to which the errors of the position are taken as equal
 
-    An error of the heading that is made at p moves the end e by the error across e - p. Over a straight part m of the
-    path with the middle q, the mean square of e - p is that of e - q, and m^2 / 12 along it. With the rate of its
-    variance this gives the random walk of the heading, and weighted with turns or ways ahead, the errors by the factor
-    of turns and by veering. The position errs in proportion to the travel up to the correlation length, and as a random
-    walk beyond. An error e of the position of odometry's frame moves the end by (R - I) e, with the rotation R by the
-    negative turn.
+    A heading error at a place p turns the rest of the path, e - p, about p, where e is the end. Averaged over a
+    straight part m with the middle q, the square of the rest is (e - q)^2, and m^2 / 12 more along m. The random walk
+    of the heading is the sum of these squares times the variance that the walk gains there. An error of the factor of
+    turning, or of veering, makes heading errors in proportion to the turns, or to the way ahead; they add up before
+    they are squared. The position errs in proportion to the travel up to the correlation length, and as a random walk
+    beyond. An error v of the position of odometry's frame moves the end by (R - I) v, where R rotates by the negative
+    turn.
     """
     end = path[-1]
     c, s = math.cos(end[2]), math.sin(end[2])

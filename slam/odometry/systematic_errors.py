@@ -24,11 +24,9 @@ from ..geometry.median import median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats
 from .heading_errors import heading_errors, is_turn
+from .history import MIN_MOTION_TRAVEL
 from .path_errors import corrected_motions, corrected_path
 
-# Metres of wheel travel below which a motion is not used: its difference from registration is mostly registration's
-# error. Origin: chosen, above the accuracy of registration; not measured.
-MIN_MOTION_TRAVEL = 0.05
 # Motions that the values before any driving count for. Origin: chosen, so few that the first metres of driving correct
 # a wrong value; not measured.
 PRIOR_SAMPLES = 10

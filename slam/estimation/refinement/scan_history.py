@@ -123,14 +123,16 @@ class ScanHistory:
             return se2.between(*self.odometry[[row, to]]), np.diag(UNMEASURED_MOTION_SIGMAS**2)
         if odometry_wrong[row : to + 1].any():
             return se2.between(*self.odometry[[row, to]]), np.diag(WRONG_ODOMETRY_SIGMAS**2)
-        return DeadReckoning(model, self.readings).measure(self.scans[row].reading, self.scans[to].reading)
+        return DeadReckoning(model, self.readings).motion_and_covariance(
+            self.scans[row].reading, self.scans[to].reading
+        )
 
     def motions(self, model: OdometryModel) -> ScanMotions:
         """Return the motions from each scan to the next one."""
         odometry, unmeasured = self.odometry, np.zeros(max(len(self) - 1, 0), dtype=bool)
         unmeasured[[row - 1 for row in self.kidnapped if row]] = True
         measured = se2.between(odometry[:-1], odometry[1:])
-        corrected, covariances = DeadReckoning(model, self.readings).measure_each(self.stamps, odometry)
+        corrected, covariances = DeadReckoning(model, self.readings).motions_and_covariances(self.stamps, odometry)
         return ScanMotions(measured, corrected, covariances, unmeasured)
 
     def correlated_drift(self, row: int, to: int, model: OdometryModel, odometry_wrong: NDArray[np.bool_]) -> Floats:

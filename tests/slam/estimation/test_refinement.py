@@ -79,7 +79,7 @@ class MappedSession:
 def session() -> MappedSession:
     messages = list(Simulation("room", seed=3, duration=16.0, lidar=LidarModel(beams=180, rate=5.0)))
     preprocessor, estimator, scans = Preprocessor(Config()), Estimator(SlamState(Config())), []
-    estimator.state.odometry.history = preprocessor.odometry
+    estimator.state.dead_reckoning.history = preprocessor.odometry
     for message in messages:
         if isinstance(message, GroundTruth):
             continue

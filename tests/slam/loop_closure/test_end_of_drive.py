@@ -18,6 +18,9 @@ from slam.loop_closure.loop_status import LoopStatus
 
 from ..simulated_worlds import limit_drives
 
+FIVE_LOOKS_AGREE = pytest.mark.xfail(strict=True, reason="five looks over 11 m agree with the office beside")
+"""A wrong closure that is accepted; odometry is off by about the distance between the offices."""
+
 
 def drive_round(world: str, seed: int, duration: float) -> tuple[Slam, Finished, float, list[LoopDecided]]:
     """Return the run of a drive, its results, the error (metres) of its end, and the decisions on loops."""
@@ -54,7 +57,7 @@ def test_a_loop_at_the_end_of_a_drive_stays_open_if_its_place_is_ambiguous() -> 
     ("variant", "seed", "duration"),
     [
         ("standard", 51, 162.64),
-        pytest.param("half-circle", 8968, 165.36, marks=pytest.mark.xfail(reason="five looks agree over 11 m")),
+        pytest.param("half-circle", 8968, 165.36, marks=FIVE_LOOKS_AGREE),
     ],
 )
 def test_no_loop_is_closed_between_equal_offices(

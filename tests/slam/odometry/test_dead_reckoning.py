@@ -60,7 +60,7 @@ def test_a_motion_of_several_turns_is_exact_by_the_readings_on_the_path(errors: 
         error = se2.between(se2.between(true[begin], true[end]), motion)
         assert np.hypot(*error[:2]) < 1e-3
         assert abs(error[2]) < 1e-3
-        np.testing.assert_array_equal(odometry.measure(readings[begin], readings[end])[0], motion)
+        np.testing.assert_array_equal(odometry.motion_and_covariance(readings[begin], readings[end])[0], motion)
 
 
 def test_a_chord_of_several_turns_is_wrong() -> None:
@@ -74,12 +74,12 @@ def test_a_chord_of_several_turns_is_wrong() -> None:
 def test_the_covariance_is_that_of_the_path() -> None:
     measured = driven(twists_of(ROUND))
     model, history, readings = model_of(ERRORS), history_of(measured), readings_of(measured)
-    _, covariance = DeadReckoning(model, history).measure(readings[3], readings[-1])
+    _, covariance = DeadReckoning(model, history).motion_and_covariance(readings[3], readings[-1])
     path = model.correct_path(measured[3:])
     of_all = model.path_covariance(path)
     scale = np.sqrt(np.outer(of_all.diagonal(), of_all.diagonal()))
     np.testing.assert_allclose(covariance / scale, of_all / scale, atol=0.02)
-    chord = DeadReckoning(model).measure(readings[3], readings[-1])[1]
+    chord = DeadReckoning(model).motion_and_covariance(readings[3], readings[-1])[1]
     assert np.abs((chord - of_all) / scale).max() > 0.3
 
 
@@ -88,14 +88,17 @@ def test_motions_from_each_reading_to_the_next_are_those_of_each_two() -> None:
     odometry, readings = DeadReckoning(model_of(ERRORS), history_of(measured)), readings_of(measured)
     rows = np.array([0, 90, 91, 400, len(measured) - 1])
     stamps = PERIOD * rows
-    expected = [odometry.measure(readings[a], readings[b]) for a, b in pairwise(rows)]
-    motions, covariances = odometry.measure_each(stamps, measured[rows])
+    expected = [odometry.motion_and_covariance(readings[a], readings[b]) for a, b in pairwise(rows)]
+    motions, covariances = odometry.motions_and_covariances(stamps, measured[rows])
     np.testing.assert_array_equal(motions, [motion for motion, _ in expected])
     np.testing.assert_array_equal(covariances, [covariance for _, covariance in expected])
-    np.testing.assert_array_equal(odometry.motion_each(stamps, measured[rows]), motions)
+    np.testing.assert_array_equal(odometry.motions(stamps, measured[rows]), motions)
     for count in (0, 1):
-        assert odometry.motion_each(stamps[:count], measured[rows][:count]).shape == (0, 3)
-        assert [part.shape for part in odometry.measure_each(stamps[:count], measured[:count])] == [(0, 3), (0, 3, 3)]
+        assert odometry.motions(stamps[:count], measured[rows][:count]).shape == (0, 3)
+        assert [part.shape for part in odometry.motions_and_covariances(stamps[:count], measured[:count])] == [
+            (0, 3),
+            (0, 3, 3),
+        ]
 
 
 def test_a_copy_shares_the_readings_and_learns_on_its_own() -> None:

@@ -108,6 +108,17 @@ def test_wheels_that_slip_on_straight_drives_do_not_change_the_factor_of_turning
     assert model.deviations[2] == pytest.approx(slip, rel=0.3)
 
 
+def test_turns_that_are_measured_in_the_next_motion_do_not_change_the_factor_of_turning() -> None:
+    """Of five motions on a bend four are measured a tenth too small, and the last one as much larger."""
+    random, model = np.random.default_rng(0), OdometryModel(OdometryConfig())
+    for k in range(300):
+        turn = 0.3 * (-1.0) ** (k // 5)
+        measured = 1.4 * turn if k % 5 == 4 else 0.9 * turn
+        registered = arc(0.2, turn) + random.normal(0, [3e-3, 3e-3, 3e-3])
+        model.add_motion(arc(0.2, measured), registered, DETERMINED)
+    assert model.systematic_errors.turning == pytest.approx(1.0, abs=0.02)
+
+
 def test_corrected_motions_add_up() -> None:
     """Correct a motion in one piece and in two: arcs of the same curvature."""
     errors = SystematicErrors(0.97, 1.0, 0.0, np.array([-0.1, 0.04, 0.03]), np.zeros(6))

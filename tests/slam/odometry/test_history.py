@@ -7,7 +7,7 @@ import pytest
 
 from drivers import se2
 from drivers.messages import Odometry
-from slam.odometry.history import NODE_TRAVEL, OdometryHistory, wheel_travel
+from slam.odometry.history import MIN_MOTION_TRAVEL, OdometryHistory, wheel_travel
 
 from ...traced_memory import traced_memory
 from .arcs import driven, history_of, twists_of
@@ -105,8 +105,8 @@ def test_a_path_leads_from_its_begin_to_its_end_in_parts_that_are_no_jitter() ->
     np.testing.assert_array_equal(path[0], begin.pose)
     np.testing.assert_array_equal(path[-1], end.pose)
     travel = wheel_travel(se2.between(path[:-1], path[1:]))
-    assert travel[:-1].min() >= NODE_TRAVEL
-    assert travel.max() < 1.5 * NODE_TRAVEL
+    assert travel[:-1].min() >= MIN_MOTION_TRAVEL
+    assert travel.max() < 1.5 * MIN_MOTION_TRAVEL
     rows = [int(np.flatnonzero((history.poses == node).all(axis=1))[0]) for node in path[1:-1]]
     assert rows == sorted(rows)
     driving = len(twists_of([(1.0, 0.0), (1.0, 1.5), (0.0, -2.0)]))
