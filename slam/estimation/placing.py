@@ -30,7 +30,7 @@ def place(state: SlamState, pose: se2.Pose, scan: ProcessedScan) -> bool:
     state.local_field.clear()
     state.update_local_field()
     state.move_to(pose, scan.reading)
-    target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variance)
+    target = MatchTarget(state.local_map, state.local_field.field, state.mapper.roughness.variances)
     features = scan.features.without_range_bias(state.mapper.graph.range_bias.metres)
     match = target.match(features, [Prediction(pose, np.linalg.inv(covariance))], exhaustive=True)
     if match.known < MIN_KNOWN_POINTS or not match.plausible:

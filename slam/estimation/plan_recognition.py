@@ -122,7 +122,7 @@ class PlanRecognition:
         """
         keyframe = int(np.flatnonzero(observers)[-1])
         pose = mapper.keyframe_poses[keyframe]
-        observed = express_in_frame(pose, describe_map(mapper.landmarks, mapper.roughness.variance, observers))
+        observed = express_in_frame(pose, describe_map(mapper.landmarks, mapper.roughness.variances, observers))
         if len(observed) < MIN_WALLS:
             return None
         guess = se2.compose(start, pose)

@@ -66,7 +66,7 @@ def track(state: SlamState, scan: ProcessedScan, timer: StageTimer) -> TrackingR
     has_mapped_here = not (state.frozen or state.kidnapped or state.at_part_begin) and state.anchor is not None
     recent = partial(state.local_field.recent, state.mapper.keyframe_poses, state.mapper.travelled)
     target = MatchTarget(
-        state.local_map, state.local_field.field, state.mapper.roughness.variance, recent if has_mapped_here else None
+        state.local_map, state.local_field.field, state.mapper.roughness.variances, recent if has_mapped_here else None
     )
     features = scan.features.without_range_bias(state.mapper.graph.range_bias.metres)
     tracking = state.tracker.track(scan.reading, features, target)
@@ -208,11 +208,9 @@ def _associate(state: SlamState, scan: ProcessedScan, tracking: TrackingResult) 
         corrected.segments,
         corrected.corners,
         state.local_map,
-        mapper.roughness.variance,
+        mapper.roughness.variances,
     )
-    mapper.roughness.add_scan(
-        tracking.pose, tracking.covariance, corrected.segments, state.local_map, association.walls
-    )
+    mapper.roughness.add_scan(state.pose, corrected.segments, state.local_map, association.walls)
     return association
 
 

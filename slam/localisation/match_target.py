@@ -17,6 +17,7 @@ from drivers import se2
 from drivers.immutable import immutable
 from features.normal_limits import NORMAL_LIMIT
 
+from ..geometry.roughness import Roughness
 from ..geometry.segments import Floats
 from ..mapping.local_map import LocalMap
 from ..matching.distance_field import DistanceField
@@ -88,13 +89,13 @@ class MatchTarget:
 
     landmarks  walls and corners, with covariances relative to the robot
     field      distance field of the keyframes around the robot
-    roughness  variance of the wall roughness (metres squared)
+    roughness  of the walls
     recent     returns the distance field of the last metres alone; None if nothing was mapped there
     """
 
     landmarks: LocalMap
     field: DistanceField
-    roughness: float
+    roughness: Roughness
     recent: Callable[[], DistanceField] | None = None
 
     def match(

@@ -20,7 +20,7 @@ def converge(mapper: Mapper) -> int:
     mapper.gauge.release(mapper)
     mapper.graph.update_until_converged()
     settle_range_bias(mapper)  # before merging: iSAM2 leaves out small steps, and walls are merged where they are
-    merged = merge_duplicate_walls(mapper.landmarks, mapper.graph, mapper.roughness.variance, mapper.merge_walls)
+    merged = merge_duplicate_walls(mapper.landmarks, mapper.graph, mapper.roughness.variances, mapper.merge_walls)
     if merged:
         mapper.graph.update_until_converged()
         mapper.read_back()
@@ -45,7 +45,7 @@ def split_walls(mapper: Mapper) -> int:
     The estimate has converged and is read back, before and afterwards.
     """
     landmarks, graph = mapper.landmarks, mapper.graph
-    splits = find_splits(landmarks, graph, mapper.keyframe_poses, mapper.roughness.variance)
+    splits = find_splits(landmarks, graph, mapper.keyframe_poses, mapper.roughness.variances)
     moves = [(split_landmark(landmarks, split), split.frame, split.segments) for split in splits]
     if not moves:
         return 0

@@ -17,6 +17,7 @@ from drivers.immutable import immutable
 
 from ..geometry.angles import wrap_angle
 from ..geometry.chi_square import chi_square_quantile
+from ..geometry.roughness import Roughness
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..geometry.significance import GATE
 from ..geometry.small_matrices import bilinear_form, mahalanobis_squared, quadratic_form
@@ -101,21 +102,26 @@ class LandmarkAssociation:
 
 
 def associate(
-    pose: se2.Pose, covariance: Floats, segments: Segments, corners: CornerPoints, local_map: LocalMap, roughness: float
+    pose: se2.Pose,
+    covariance: Floats,
+    segments: Segments,
+    corners: CornerPoints,
+    local_map: LocalMap,
+    roughness: Roughness,
 ) -> RowAssociation:
     """Associate the features of a scan with the landmarks of the local map.
 
     pose        of the base in the map, with its `covariance` (3, 3) in the base's frame
-    roughness   variance of the wall roughness, square metres
+    roughness   of the walls
     """
     distance, low, high = _wall_distances(
         pose, covariance, segments.frame, segments.half_length, segments.covariance,
-        local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, roughness,
+        local_map.frame, local_map.low, local_map.high, local_map.wall_covariance, tuple(roughness),
     )  # fmt: skip
     walls, wall_distance, nearest_wall = _assign_greedily(distance, local_map.observations, low, high)
     corner_distance = _corner_distances(
         pose, covariance, corners.position, corners.headings, corners.covariance,
-        local_map.position, local_map.headings, local_map.corner_covariance, roughness,
+        local_map.position, local_map.headings, local_map.corner_covariance, roughness.offset,
     )  # fmt: skip
     no_extent, equal = np.zeros_like(corner_distance), np.ones(len(local_map.corners), dtype=np.int64)
     rows, smallest, nearest = _assign_greedily(corner_distance, equal, no_extent, no_extent)
@@ -214,8 +220,8 @@ def _wall_distances(  # type: ignore[no-untyped-def]
                 continue
             mixed = by_x * pose_covariance[0, 2] + by_y * pose_covariance[1, 2] + by_turn * pose_covariance[2, 2]
             mixed += wall[0, 1] + along * wall[1, 1] + covariances[i, 0, 1]
-            across += covariances[i, 0, 0] + roughness
-            heading += covariances[i, 1, 1] + 3 * roughness / halves[i] ** 2
+            across += covariances[i, 0, 0] + roughness[0]
+            heading += covariances[i, 1, 1] + 3 * roughness[1] / halves[i] ** 2
             chi2 = mahalanobis_squared(across, mixed, heading, offset, turn)
             close = abs(offset) < AMBIGUOUS_OFFSET and abs(turn) < AMBIGUOUS_HEADING and gap < 0.0
             if chi2 < ASSOCIATION_GATE or close:

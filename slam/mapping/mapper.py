@@ -190,7 +190,7 @@ class Mapper(MappedKeyframes):
                 correlated_drift = correlated_drift + own_drift
                 self.graph.add_keyframe(keyframe, pose, motion.start, motion.motion, motion.covariance)
         self.append_keyframe(pose, motion, segments, landmark_ids, correlated_drift)
-        self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variance)
+        self._unconfirmed.add(keyframe, segments, corners, landmark_ids, self.roughness.variances)
         self._unconfirmed.move_confirmed(self.graph, self.landmarks, landmark_ids, keyframe, pose)
 
     def add_scan_match(self, match: RelativeScanMatch) -> None:
@@ -217,7 +217,7 @@ class Mapper(MappedKeyframes):
         observed_walls, _ = observed_landmarks(self._waiting.landmark_ids)
         points = self._waiting.read_back(self)
         local_map = self.local_map(observations, linked)
-        merge = find_observed_duplicate(self.landmarks, local_map, observed_walls, self.roughness.variance)
+        merge = find_observed_duplicate(self.landmarks, local_map, observed_walls, self.roughness.variances)
         if merge is not None:
             self.merge_walls(merge.kept, merge.absorbed)
         if self._remove_walls_seen_through_since(points) or merge is not None:

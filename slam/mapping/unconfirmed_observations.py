@@ -10,12 +10,12 @@ import numpy as np
 from drivers import se2
 
 from ..geometry.range_bias import corner_bias_slopes
+from ..geometry.roughness import Roughness, add_roughness
 from ..geometry.segments import CornerPoints, Floats, Segments
 from ..graph.factor_graph import FactorGraph
 from ..graph.factors import Factor, FactorKind
 from .keyframes import LandmarkIds
 from .landmarks import Landmarks
-from .wall_roughness import add_roughness
 
 # Share of its two segments' information that the factor of a corner takes over.
 # Origin: measured, consistency (NEES) of simulated drives: smaller than the value first chosen.
@@ -56,9 +56,9 @@ class UnconfirmedObservations:
         ]
 
     def add(
-        self, keyframe: int, segments: Segments, corners: CornerPoints, landmark_ids: LandmarkIds, roughness: float
+        self, keyframe: int, segments: Segments, corners: CornerPoints, landmark_ids: LandmarkIds, roughness: Roughness
     ) -> None:
-        """Add the observations of a keyframe, with the variance of the wall roughness (m^2) added to them.
+        """Add the observations of a keyframe, with the wall roughness added to them.
 
         The rays that determine a corner also determine the two lines that meet in it. To count them once, the corner
         takes the share CORNER_SHARE of its segments' information, and their own factors keep the rest.
@@ -74,7 +74,7 @@ class UnconfirmedObservations:
         if not len(corners):
             return
         slopes = corner_bias_slopes(segments, corners)
-        covariances = (corners.covariance + roughness * np.eye(2)) / CORNER_SHARE
+        covariances = (corners.covariance + roughness.offset * np.eye(2)) / CORNER_SHARE
         for i, corner in enumerate(landmark_ids.corners.tolist()):
             if corner >= 0:
                 self._corners[corner].append((keyframe, corners.position[i], covariances[i], slopes[i]))

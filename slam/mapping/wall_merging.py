@@ -18,6 +18,7 @@ from drivers.compiled import compiled
 from ..geometry.angles import axes_of, wrap_angle
 from ..geometry.chi_square import chi_square_quantile
 from ..geometry.membership import is_among
+from ..geometry.roughness import Roughness
 from ..geometry.segments import Floats, Integers
 from ..geometry.significance import STRICT_GATE
 from ..geometry.surroundings import SURFACE_DEPTH
@@ -60,24 +61,24 @@ class Overlap:
     offset: float
     turn: float
 
-    def distance(self, covariance: Floats, roughness: float) -> float:
+    def distance(self, covariance: Floats, roughness: Roughness) -> float:
         """Return the squared Mahalanobis distance between the two walls.
 
-        `covariance` (2, 2) is that of offset and turn; the variance of the wall roughness (m^2) is added to it.
+        `covariance` (2, 2) is that of offset and turn; the wall roughness is added to it.
         """
         difference = np.array([self.offset, self.turn])
-        of_roughness = np.diag([roughness, 12 * roughness / self.length**2])
+        of_roughness = np.diag([roughness.offset, 12 * roughness.ends / self.length**2])
         return float(difference @ np.linalg.solve(covariance + of_roughness, difference))
 
 
 def find_duplicate_wall(
-    local_map: LocalMap, mature: NDArray[np.bool_], observed: NDArray[np.bool_], roughness: float
+    local_map: LocalMap, mature: NDArray[np.bool_], observed: NDArray[np.bool_], roughness: Roughness
 ) -> WallMerge | None:
     """Return the pair of walls of the local map that are one with the smallest distance; None if there is none.
 
     mature     (n,) which walls have been observed often enough; both walls of a pair must be mature
     observed   (n,) which walls were observed just now; at least one wall of a pair must be
-    roughness  variance of the wall roughness, square metres
+    roughness  of the walls
 
     Walls are compared in the middle of their overlap, with covariances relative to the robot, so the uncertainty of the
     robot's own pose has no influence.
@@ -100,7 +101,7 @@ def find_duplicate_wall(
 
 
 def find_observed_duplicate(
-    landmarks: Landmarks, local_map: LocalMap, observed_walls: Integers, roughness: float
+    landmarks: Landmarks, local_map: LocalMap, observed_walls: Integers, roughness: Roughness
 ) -> WallMerge | None:
     """Return the most certain pair of duplicate walls of the local map of which one was just observed, if any.
 
@@ -113,12 +114,12 @@ def find_observed_duplicate(
 
 
 def merge_duplicate_walls(
-    landmarks: Landmarks, graph: FactorGraph, roughness: float, merge: Callable[[int, int], None]
+    landmarks: Landmarks, graph: FactorGraph, roughness: Roughness, merge: Callable[[int, int], None]
 ) -> int:
     """Call `merge(kept, absorbed)` for each pair of duplicate walls, smallest distance first; return their number.
 
     All confirmed walls of connected parts of the map are compared, with their joint covariances in `graph`.
-    `roughness` is the variance of the wall roughness (m^2).
+    `roughness` is that of the walls.
     """
     walls = landmarks.walls.rows
     rows = np.flatnonzero(walls["in_graph"] & landmarks.active())

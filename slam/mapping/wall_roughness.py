@@ -1,10 +1,12 @@
-"""Wall roughness: deviation of real walls from a straight line, beyond the propagated noise of the rays.
+"""Estimate of the wall roughness from the residuals of segments about their walls.
 
 A line fitted to a hundred rays has a computed accuracy of a millimetre; plaster, skirting boards, rock and systematic
-errors of the lidar are worse, in some buildings more than in others. So segments are compared with their walls while
-driving, at the pose that the scan's points determine: the pose by the walls themselves follows their errors. What the
-covariances of segment, wall and pose do not explain is added to the segments'. Roughness of variance f at either end
-of a segment of length l adds the variance f to its offset and 12 f / l^2 to its heading.
+errors of the lidar are worse, in some buildings more than in others. So each segment of a scan is compared with its
+wall at the pose that the other segments of the scan determine. At the pose by all of them, or by the scan's points,
+which are on the same walls, it would seem to fit better than it does. What the covariances of segment, wall and pose do
+not explain is the roughness.
+
+Equations: docs/mathematics.md#wall-roughness.
 """
 
 from __future__ import annotations
@@ -17,14 +19,15 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
-from ..geometry.median import median
+from ..geometry.median import weighted_median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
+from ..geometry.roughness import Roughness
 from ..geometry.segments import Floats, Integers, Segments
-from ..geometry.small_matrices import quadratic_form
+from ..geometry.small_matrices import inverse, product, quadratic_form
+from ..matching.landmark_equations import wall_weights
 from .local_map import LocalMap
 
-# Latest samples used, two per observation: some fifty keyframes. Origin: chosen, follows a change of building; not
-# measured.
+# Latest samples used: some fifty keyframes. Origin: chosen, follows a change of building; not measured.
 MAX_ROUGHNESS_SAMPLES = 1000
 # Square metres, assumed before observations. Small, as it stays in the factors of the first keyframes, which fix the
 # map's frame. Origin: tuned on simulated drives: with larger values the covariances were too pessimistic.
@@ -38,94 +41,93 @@ MIN_OBSERVATIONS_FOR_ROUGHNESS = 4
 
 
 class WallRoughness:
-    """Variance of the wall roughness (square metres), estimated from the residuals of associated segments."""
+    """Wall roughness, estimated from the residuals of segments about their walls.
+
+    samples    (n, 2, 2) of the variances of offsets and of ends, m^2: the excess of a squared residual over what is
+               expected without roughness, and what is expected
+    variances  estimate
+    """
 
     def __init__(self) -> None:
-        self._samples: Floats = np.zeros(0)
-        self.variance = INITIAL_VARIANCE
-
-    @property
-    def samples(self) -> Floats:
-        """(n,) samples of the variance, from which it is estimated."""
-        return self._samples
+        self.samples: Floats = np.zeros((0, 2, 2))
+        self.variances = Roughness(INITIAL_VARIANCE, INITIAL_VARIANCE)
 
     def add_samples(self, samples: Floats) -> None:
-        """Add `samples` (n,), e.g. of a saved estimate, and estimate the variance again."""
-        self._samples = np.concatenate([self._samples, samples])[-MAX_ROUGHNESS_SAMPLES:]
-        self._estimate()
+        """Add `samples` (n, 2, 2), e.g. of a saved estimate, and estimate the variances again.
 
-    def add_residuals(self, residuals: Floats, covariances: Floats, half_lengths: Floats) -> None:
-        """Update the estimate with residuals of segments about their walls.
-
-        residuals     (n, 2) of offset and heading
-        covariances   (n, 2, 2) expected of them without roughness
-        half_lengths  (n,) metres
-
-        Each residual gives a sample: the variance in excess of its covariance, converted to a variance of the wall's
-        points. The estimate is their median, which wrong associations do not affect; dividing by NORMAL_MEDIAN makes
-        it consistent.
+        A variance is the median excess of the squared residuals, which wrong associations do not affect. The weight of
+        each is its information on the variance: a normal variable of variance v has 1 / (2 v^2).
         """
-        excess = residuals**2 / NORMAL_MEDIAN - np.diagonal(covariances, axis1=1, axis2=2)
-        excess[:, 1] *= half_lengths**2 / 3
-        self.add_samples(excess.ravel())
+        self.samples = np.concatenate([self.samples, samples])[-MAX_ROUGHNESS_SAMPLES:]
+        if len(self.samples):
+            weight = min(1.0, len(self.samples) / FULL_WEIGHT_SAMPLES)
+            medians = [
+                max(0.0, weighted_median(excess, (expected + variance) ** -2.0))
+                for (excess, expected), variance in zip(self.samples.transpose(1, 2, 0), self.variances, strict=True)
+            ]
+            self.variances = Roughness(*(weight * one + (1 - weight) * INITIAL_VARIANCE for one in medians))
 
-    def add_scan(
-        self, pose: se2.Pose, covariance: Floats, segments: Segments, local_map: LocalMap, rows: Integers
-    ) -> None:
+    def add_scan(self, pose: se2.Pose, segments: Segments, local_map: LocalMap, rows: Integers) -> None:
         """Update the estimate with the segments of a scan, compared with well-observed walls.
 
-        pose        of the base in the map by the scan's points, with its `covariance` (3, 3) in the base's frame
-        rows        (n,) rows of the local map of the walls that the segments belong to, negative for none
+        pose  of the base in the map by the scan, near which the equations are linearised
+        rows  (n,) rows of the local map of the walls that the segments belong to, negative for none
         """
         matched = np.flatnonzero(rows >= 0)
         matched = matched[local_map.observations[rows[matched]] >= MIN_OBSERVATIONS_FOR_ROUGHNESS]
         if len(matched):
-            frames, walls = segments.frame[matched], rows[matched]
-            residuals, expected = _residuals(
-                pose, covariance, frames, local_map.frame[walls], local_map.wall_covariance[walls]
-            )
-            self.add_residuals(residuals, segments.covariance[matched] + expected, segments.half_length[matched])
-
-    def _estimate(self) -> None:
-        if not len(self._samples):
-            return
-        observed = max(0.0, float(median(self._samples)))
-        weight = min(1.0, len(self._samples) / FULL_WEIGHT_SAMPLES)
-        self.variance = weight * observed + (1 - weight) * INITIAL_VARIANCE
+            walls, half_lengths = rows[matched], segments.half_length[matched]
+            residuals, expected = _residuals_by_others(
+                pose, segments.frame[matched], half_lengths, segments.covariance[matched],
+                local_map.frame[walls], local_map.wall_covariance[walls], tuple(self.variances),
+            )  # fmt: skip
+            both = np.stack([residuals**2 / NORMAL_MEDIAN - expected, expected], axis=-1)
+            both[:, 1] *= half_lengths[:, None] ** 2 / 3  # of ends
+            self.add_samples(both)
 
 
 @compiled
-def _residuals(pose, covariance, frames, walls, wall_covariances):  # type: ignore[no-untyped-def]
-    """Return offsets and headings (n, 2) of segments at their walls, and their covariances (n, 2, 2) by pose and wall.
+def _residuals_by_others(  # type: ignore[no-untyped-def]
+    pose, frames, halves, covariances, walls, wall_covariances, roughness
+):
+    """Return offsets and headings (n, 2) of segments at their walls, at the pose by the others, and their variances.
 
-    pose, covariance  (3,) of the base in the map, (3, 3) in its own frame
+    pose              (3,) of the base in the map, near which the equations are linearised
     frames            (n, 3) of the segments in the base's frame
+    halves            (n,) half the lengths of the segments, metres
+    covariances       (n, 2, 2) of offset and heading of the segments
     walls             (n, 3) in the map
     wall_covariances  (n, 2, 2) of offset and heading at a wall's frame
+    roughness         variances (2,) of the others; the variances that are returned are without it
     """
     count = len(frames)
-    residuals, expected = np.empty((count, 2)), np.empty((count, 2, 2))
+    residuals, variances, slopes = np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 3))
+    information, gradients = np.empty((count, 3, 3)), np.empty((count, 3))
     for k in range(count):
-        turn = pose[2] - walls[k, 2]
-        c, s = math.cos(walls[k, 2]), math.sin(walls[k, 2])
-        x, y = c * (pose[0] - walls[k, 0]) + s * (pose[1] - walls[k, 1]), c * (pose[1] - walls[k, 1])
-        y -= s * (pose[0] - walls[k, 0])
+        c, s, wall = math.cos(walls[k, 2]), math.sin(walls[k, 2]), wall_covariances[k]
+        x, y = pose[0] - walls[k, 0], pose[1] - walls[k, 1]
+        x, y, turn = c * x + s * y, c * y - s * x, pose[2] - walls[k, 2]
         c, s = math.cos(turn), math.sin(turn)
-        along, across = c * frames[k, 0] - s * frames[k, 1], s * frames[k, 0] + c * frames[k, 1]
-        residuals[k, 0], residuals[k, 1] = y + across, wrap_angle(turn + frames[k, 2])
-        # The derivatives of the offset are (s, c, along) by the pose, and (1, lever) by offset and heading of the wall.
-        lever, wall = x + along, wall_covariances[k]
-        at_wall = wall[0, 1] + lever * wall[1, 1]
-        mixed = s * covariance[0, 2] + c * covariance[1, 2] + along * covariance[2, 2] + at_wall
-        expected[k, 0, 0] = quadratic_form(covariance, s, c, along) + wall[0, 0] + lever * (wall[0, 1] + at_wall)
-        expected[k, 0, 1] = expected[k, 1, 0] = mixed
-        expected[k, 1, 1] = covariance[2, 2] + wall[1, 1]
-    return residuals, expected
-
-
-def add_roughness(covariances: Floats, half_lengths: Floats, variance: float) -> Floats:
-    """Return the covariances (n, 2, 2) of offset and heading with the variance (m^2) of the wall roughness added."""
-    result = covariances.copy()
-    result[:, 0, 0] += variance
-    result[:, 1, 1] += 3 * variance / half_lengths**2
-    return result
+        lever, across = c * frames[k, 0] - s * frames[k, 1], s * frames[k, 0] + c * frames[k, 1]
+        offset, heading = y + across, wrap_angle(turn + frames[k, 2])
+        residuals[k, 0], residuals[k, 1] = offset, heading
+        slopes[k, 0], slopes[k, 1], slopes[k, 2] = s, c, lever  # of the offset by the pose
+        along = x + lever
+        variances[k, 0] = covariances[k, 0, 0] + wall[0, 0] + along * (2.0 * wall[0, 1] + along * wall[1, 1])
+        variances[k, 1] = covariances[k, 1, 1] + wall[1, 1]
+        yy, yt, tt = wall_weights(covariances[k], halves[k], wall, along, roughness)
+        for i in range(3):
+            turned = 1.0 if i == 2 else 0.0  # slope of the heading
+            by_offset, by_heading = slopes[k, i] * yy + turned * yt, slopes[k, i] * yt + turned * tt
+            gradients[k, i] = by_offset * offset + by_heading * heading
+            for j in range(3):
+                information[k, i, j] = by_offset * slopes[k, j] + (by_heading if j == 2 else 0.0)
+    total, gradient = np.eye(3) + information.sum(axis=0), gradients.sum(axis=0)  # known to a metre and a radian
+    for k in range(count):
+        covariance, slope = inverse(total - information[k]), slopes[k]
+        moved = product(covariance, gradient - gradients[k])
+        residuals[k, 0] -= slope[0] * moved[0] + slope[1] * moved[1] + slope[2] * moved[2]
+        residuals[k, 1] -= moved[2]
+        variances[k, 0] += quadratic_form(covariance, slope[0], slope[1], slope[2])
+        variances[k, 1] += covariance[2, 2]
+    return residuals, variances

@@ -23,6 +23,7 @@ import numpy as np
 from drivers import se2
 from drivers.immutable import immutable
 
+from ..geometry.roughness import Roughness, add_roughness
 from ..geometry.segments import Floats
 from ..graph.factor_graph import CLOSING_UPDATES, FactorGraph
 from ..graph.wall_segments import WallSegment, wall_segments
@@ -32,7 +33,6 @@ from .landmarks import Landmarks
 from .local_map import MAX_HEADING_DIFFERENCE, MAX_OFFSET
 from .unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .wall_cells import WALL_CELL
-from .wall_roughness import add_roughness
 
 # Squared Mahalanobis distance between two stretches, with the poses held fixed, above which a wall is tried. Free poses
 # change it little where other walls determine them. Origin: chosen, a quarter of the gate of an observation, below what
@@ -83,11 +83,11 @@ class Split:
         return [segment for stretch in self.stretches for segment in stretch.segments]
 
 
-def find_splits(landmarks: Landmarks, graph: FactorGraph, poses: Floats, roughness: float) -> list[Split]:
+def find_splits(landmarks: Landmarks, graph: FactorGraph, poses: Floats, roughness: Roughness) -> list[Split]:
     """Return the parts of walls that are surfaces of their own.
 
-    The graph is solved and `poses` (k, 3) are those of its keyframes; `roughness` is the variance of the wall roughness
-    (m^2). Neither landmarks nor graph are changed.
+    The graph is solved and `poses` (k, 3) are those of its keyframes; `roughness` is that of the walls.
+    Neither landmarks nor graph are changed.
     """
     walls = [stretches for stretches in _stretches(landmarks, graph, poses) if _may_differ(stretches, roughness)]
     if not walls:
@@ -203,7 +203,7 @@ def _stretches(landmarks: Landmarks, graph: FactorGraph, poses: Floats) -> list[
     return result
 
 
-def _may_differ(stretches: Sequence[Stretch], roughness: float) -> bool:
+def _may_differ(stretches: Sequence[Stretch], roughness: Roughness) -> bool:
     """Return True if two stretches of a wall differ with the poses held fixed; see CANDIDATE_GATE."""
     if len(stretches) < 2:
         return False
@@ -232,7 +232,7 @@ def _fit(relative: Floats, segments: Sequence[WallSegment], along: float) -> tup
 
 
 def _group_compatible(
-    stretches: Sequence[Stretch], frames: Floats, covariance: Floats, roughness: float
+    stretches: Sequence[Stretch], frames: Floats, covariance: Floats, roughness: Roughness
 ) -> list[list[int]]:
     """Return groups of stretches of one wall that are compatible with one line each, as indices.
 
@@ -259,7 +259,7 @@ def _group_compatible(
 
 
 def _lines_in_first(
-    stretches: Sequence[Stretch], frames: Floats, covariance: Floats, roughness: float
+    stretches: Sequence[Stretch], frames: Floats, covariance: Floats, roughness: Roughness
 ) -> tuple[Floats, Floats]:
     """Return offsets and headings (2 n,) of all stretches at the origin of the first frame, and their covariance.
 

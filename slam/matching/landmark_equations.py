@@ -54,7 +54,7 @@ def add_walls(  # type: ignore[no-untyped-def]
     """Pair each segment with the nearest wall inside the gates and add its normal equations.
 
     pose                       (3,) of the base in the map
-    roughness                  variance of the wall roughness, square metres
+    roughness                  variances (2,) of the walls, see `Roughness`
     offset_gate, heading_gate  metres across and radians between a segment and its wall
     information, gradient      (3, 3) and (3,) of the base's pose, in its own axes: the equations are added to them
 
@@ -72,7 +72,7 @@ def add_walls(  # type: ignore[no-untyped-def]
         overlaps[i] = overlap * (1.0 - 0.25 * best)
         if match < 0:
             continue
-        wyy, wyt, wtt = _wall_weights(
+        wyy, wyt, wtt = wall_weights(
             segments.covariance[i], segments.half_length[i], walls.covariance[match], along, roughness
         )
         chi2 = wyy * offset * offset + 2 * wyt * offset * turn + wtt * turn * turn
@@ -95,14 +95,14 @@ def add_walls(  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-untyped-def]
+def wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-untyped-def]
     """Return the information of the offset and heading of a segment relative to its wall: (yy, yt, tt).
 
     `segment` and `wall` are the covariances (2, 2) of both, `along` the position of the segment's middle on the wall.
     """
-    yy = segment[0, 0] + roughness + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+    yy = segment[0, 0] + roughness[0] + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
     yt = segment[0, 1] + wall[0, 1] + along * wall[1, 1]
-    tt = segment[1, 1] + 3 * roughness / half**2 + wall[1, 1]
+    tt = segment[1, 1] + 3 * roughness[1] / half**2 + wall[1, 1]
     determinant = yy * tt - yt * yt
     return tt / determinant, -yt / determinant, yy / determinant
 
@@ -181,8 +181,8 @@ def _corner_weights(corner, known, c, s, roughness):  # type: ignore[no-untyped-
     `c` and sine `s`.
     """
     xx, xy, yy = corner[0, 0], corner[0, 1], corner[1, 1]
-    of_x = c * c * xx - 2.0 * c * s * xy + s * s * yy + known[0, 0] + roughness
-    of_y = s * s * xx + 2.0 * c * s * xy + c * c * yy + known[1, 1] + roughness
+    of_x = c * c * xx - 2.0 * c * s * xy + s * s * yy + known[0, 0] + roughness[0]
+    of_y = s * s * xx + 2.0 * c * s * xy + c * c * yy + known[1, 1] + roughness[0]
     both = c * s * (xx - yy) + (c * c - s * s) * xy + known[0, 1]
     determinant = of_x * of_y - both * both
     return of_y / determinant, -both / determinant, of_x / determinant

@@ -15,6 +15,7 @@ from drivers.immutable import immutable
 
 from ..geometry.angles import axes_of
 from ..geometry.pose_steps import difference, move_back, wrap_heading
+from ..geometry.roughness import Roughness
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import product, solution
 from ..mapping.local_map import LocalMap
@@ -67,7 +68,7 @@ def register(
     points: Floats,
     local_map: LocalMap,
     field: DistanceField,
-    roughness: float,
+    roughness: Roughness,
 ) -> Registration:
     """Estimate the pose of the base in the map for one scan.
 
@@ -81,7 +82,7 @@ def register(
     points      (p, 6) of the scan with normals, in the base's frame, see `surface_points`
     local_map   walls and corners in the map
     field       distance field in the map
-    roughness   variance of the wall roughness (metres squared)
+    roughness   of the walls
     """
     segments, corners = scan.segments, scan.corners
     total = segments.total_length
@@ -96,7 +97,7 @@ def register(
         (local_map.frame, axes_of(local_map.frame), local_map.low, local_map.high, local_map.wall_covariance),
         (local_map.position, local_map.headings, local_map.corner_covariance),
         field.arrays,
-        roughness,
+        tuple(roughness),
     )  # fmt: skip
     return Registration(pose, information, point_pose, point_information, matched / total if total else 0.0)
 

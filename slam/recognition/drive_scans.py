@@ -66,5 +66,5 @@ def _scan(mapper: Mapper, local_field: LocalField, keyframes: range) -> SubmapSc
     """Build the submap of some keyframes, with the walls seen since the first of them."""
     numbers, rows = np.arange(mapper.keyframe_count), np.arange(keyframes.start, keyframes.stop)
     poses = mapper.keyframe_poses[rows]
-    descriptor = describe_map(mapper.landmarks, mapper.roughness.variance, numbers >= keyframes.start)
+    descriptor = describe_map(mapper.landmarks, mapper.roughness.variances, numbers >= keyframes.start)
     return scan_submap(keyframes, express_in_frame(poses[-1], descriptor), poses, local_field.points_of(rows))

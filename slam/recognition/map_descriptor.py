@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.immutable import immutable
 
+from ..geometry.roughness import Roughness
 from ..geometry.segments import Floats, Integers
 from ..mapping.landmarks import Landmarks
 from ..mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
@@ -42,8 +43,10 @@ class MapDescriptor:
         return len(self.walls)
 
 
-def describe_map(landmarks: Landmarks, roughness: float, observers: NDArray[np.bool_] | None = None) -> MapDescriptor:
-    """Describe the confirmed walls; `roughness` is the variance of the wall roughness, metres squared.
+def describe_map(
+    landmarks: Landmarks, roughness: Roughness, observers: NDArray[np.bool_] | None = None
+) -> MapDescriptor:
+    """Describe the confirmed walls; `roughness` is that of the walls.
 
     With `observers` (k,), only those that one of these keyframes saw last.
     """
@@ -58,8 +61,8 @@ def describe_map(landmarks: Landmarks, roughness: float, observers: NDArray[np.b
     transport = np.tile(np.eye(2), (len(walls), 1, 1))
     transport[:, 0, 1] = middle
     covariance = transport @ rows["covariance"] @ transport.transpose(0, 2, 1)
-    covariance[:, 0, 0] += roughness
-    covariance[:, 1, 1] += 3 * roughness / np.maximum(half, WALL_CELL) ** 2
+    covariance[:, 0, 0] += roughness.offset
+    covariance[:, 1, 1] += 3 * roughness.ends / np.maximum(half, WALL_CELL) ** 2
     stretches = [_observed_stretches(landmarks, int(wall)) - by for wall, by in zip(walls, middle, strict=True)]
     return MapDescriptor(
         walls=walls,

@@ -40,7 +40,7 @@ def index_map(mapper: Mapper, observers: NDArray[np.bool_] | None = None) -> Map
 
     With `observers` (k,), only of walls that one of these keyframes saw last.
     """
-    descriptor = describe_map(mapper.landmarks, mapper.roughness.variance, observers)
+    descriptor = describe_map(mapper.landmarks, mapper.roughness.variances, observers)
     return MapIndex(descriptor, build_pair_table(descriptor))
 
 

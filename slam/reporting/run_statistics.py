@@ -199,7 +199,7 @@ def run_summary(
         "sigma_range": round(preprocessor.noise.sigma_range, 5),
         "sigma_bearing": round(preprocessor.noise.sigma_bearing, 6),
         "range_bias": _range_bias(mapper.graph.range_bias),
-        "wall_roughness": round(math.sqrt(mapper.roughness.variance), 5),
+        "wall_roughness": round(math.sqrt(mapper.roughness.variances.offset), 5),
         "timings": statistics.timings(),
         "health": statistics.health()
         | {

@@ -21,6 +21,7 @@ from drivers.immutable import immutable
 
 from ...geometry.angles import wrap_angle
 from ...geometry.pose_covariance import POSE_SIGMAS
+from ...geometry.roughness import Roughness
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
 from ...geometry.surroundings import INDOOR_RANGE, ROOM_SIZE
@@ -87,7 +88,7 @@ class FullMapMatcher:
     """Landmarks, and the points of keyframes at `poses` (k, 3), to which scans are matched.
 
     path_distances  between the keyframes
-    roughness       variance of the walls' roughness, square metres
+    roughness       of the walls
     range_bias      metres, without which the landmarks were estimated
     model           of odometry's errors
     odometry_wrong  (n,) true for scans at which odometry is known to be wrong
@@ -99,7 +100,7 @@ class FullMapMatcher:
         landmarks: Landmarks,
         poses: Floats,
         path_distances: PathDistances,
-        roughness: float,
+        roughness: Roughness,
         range_bias: float,
         model: OdometryModel,
         odometry_wrong: NDArray[np.bool_],

@@ -60,7 +60,7 @@ def refine_once(
     odometry_wrong  (n,) true for scans at which odometry is already known to be wrong
     """
     new = Mapper.with_landmarks_of(old)
-    merged = merge_duplicate_walls(new.landmarks, old.graph, new.roughness.variance, new.landmarks.merge_walls)
+    merged = merge_duplicate_walls(new.landmarks, old.graph, new.roughness.variances, new.landmarks.merge_walls)
     matched, landmark_ids, newly_wrong = _associate(new, history, poses, path_distances, model, odometry_wrong)
     odometry_wrong = odometry_wrong | newly_wrong
     matched[0] = poses[0]  # defines the map's frame
@@ -73,7 +73,7 @@ def refine_once(
     new.solve()
     split_walls(new)
     solved = new.graph.keyframe_poses(len(history.keyframes))
-    recompute_covariances(new.landmarks, history, new.landmark_ids, solved, new.roughness.variance)
+    recompute_covariances(new.landmarks, history, new.landmark_ids, solved, new.roughness.variances)
     return IterationResult(new, solved, odometry_wrong, merged, _count_changes(old, new))
 
 
@@ -91,7 +91,7 @@ def _associate(
     """
     bias = mapper.graph.range_bias.metres
     matcher = FullMapMatcher(
-        history, mapper.landmarks, poses, path_distances, mapper.roughness.variance, bias, model, known_wrong
+        history, mapper.landmarks, poses, path_distances, mapper.roughness.variances, bias, model, known_wrong
     )
     scan_poses = history.scan_poses(poses)
     matched, landmark_ids, odometry_wrong = [], [], np.zeros(len(history), dtype=bool)
@@ -106,7 +106,7 @@ def _associate(
             features.segments,
             features.corners,
             local_map,
-            mapper.roughness.variance,
+            mapper.roughness.variances,
         )
         matched.append(registration.pose)
         odometry_wrong[row] = match.odometry_wrong

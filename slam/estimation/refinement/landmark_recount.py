@@ -8,11 +8,11 @@ import numpy as np
 
 from drivers import se2
 
+from ...geometry.roughness import Roughness, add_roughness
 from ...geometry.segments import Floats
 from ...mapping.keyframes import LandmarkIds
 from ...mapping.landmarks import Landmarks
 from ...mapping.repeated_observation import drop_unobserved, reset_observations
-from ...mapping.wall_roughness import add_roughness
 from .scan_history import ScanHistory
 
 
@@ -36,12 +36,12 @@ def recount_observations(
 
 
 def recompute_covariances(
-    landmarks: Landmarks, history: ScanHistory, landmark_ids: Sequence[LandmarkIds], poses: Floats, roughness: float
+    landmarks: Landmarks, history: ScanHistory, landmark_ids: Sequence[LandmarkIds], poses: Floats, roughness: Roughness
 ) -> None:
     """Recompute the covariances of all landmarks from the observations of keyframes at `poses` (k, 3).
 
-    They are relative to the keyframes nearby; errors of the poses are not included. `roughness` (square metres) is
-    added again at the end: it does not average out, since all observations of a piece of wall share it.
+    They are relative to the keyframes nearby; errors of the poses are not included. `roughness` is added again at the
+    end: it does not average out, since all observations of a piece of wall share it.
     """
     walls, corners = landmarks.walls.rows, landmarks.corners.rows
     wall_information, corner_information = np.zeros((len(walls), 2, 2)), np.zeros((len(corners), 2, 2))
@@ -57,11 +57,11 @@ def recompute_covariances(
         associated = np.flatnonzero(ids.corners >= 0)
         c, s = np.cos(poses[k, 2]), np.sin(poses[k, 2])
         rotation = np.array([[c, -s], [s, c]])
-        covariance = features.corners.covariance[associated] + roughness * np.eye(2)
+        covariance = features.corners.covariance[associated] + roughness.offset * np.eye(2)
         np.add.at(corner_information, ids.corners[associated], np.linalg.inv(rotation @ covariance @ rotation.T))
     observed_walls, observed_corners = np.flatnonzero(walls["observations"]), np.flatnonzero(corners["observations"])
     half_length = 0.5 * (walls["high"] - walls["low"])[observed_walls]
     wall_covariance = np.asarray(np.linalg.inv(wall_information[observed_walls]))
     landmarks.set_wall_covariances(observed_walls, add_roughness(wall_covariance, half_length, roughness))
-    corner_covariance = np.asarray(np.linalg.inv(corner_information[observed_corners])) + roughness * np.eye(2)
+    corner_covariance = np.asarray(np.linalg.inv(corner_information[observed_corners])) + roughness.offset * np.eye(2)
     landmarks.set_corner_covariances(observed_corners, corner_covariance)

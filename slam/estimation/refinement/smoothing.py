@@ -34,7 +34,7 @@ def smooth_trajectory(
     """
     bias = mapper.graph.range_bias.metres
     matcher = FullMapMatcher(
-        history, mapper.landmarks, poses, path_distances, mapper.roughness.variance, bias, model, odometry_wrong
+        history, mapper.landmarks, poses, path_distances, mapper.roughness.variances, bias, model, odometry_wrong
     )
     matched, odometry_wrong = history.scan_poses(poses), odometry_wrong.copy()
     informations = history.informations.copy()

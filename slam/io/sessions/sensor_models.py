@@ -5,18 +5,24 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 
 from features import LearnedNoise
 
 from ...config import LidarConfig
 from ...geometry.segments import Floats
+from ...mapping.wall_roughness import INITIAL_VARIANCE
 from ...odometry.error_model import OdometryModel
 from ...odometry.systematic_errors import PERFECT
 from .records import Finite, Record
 
 MAX_SYSTEMATIC_ERROR = 10.0
 """Largest systematic error of odometry: far more than any has."""
+MIN_EXPECTED_VARIANCE = 1e-12
+"""Square metres, least variance of a wall's offset: a micrometre is far less than any lidar measures."""
+_Sample = tuple[Finite, Annotated[Finite, Field(ge=MIN_EXPECTED_VARIANCE)]]
+_RoughnessSample = tuple[_Sample, _Sample]
 _SystematicError = Annotated[Finite, Field(ge=-MAX_SYSTEMATIC_ERROR, le=MAX_SYSTEMATIC_ERROR)]
 
 
@@ -28,7 +34,7 @@ class SensorModelsRecord(Record):
     noise_scans, noise_lines  weights of the first two, likewise; None if not known
     odometry_samples  (n, 8)
     odometry_expected (6,) see `OdometryModel.expected_errors`
-    roughness_samples (m,)
+    roughness_samples (m, 2, 2) see `WallRoughness.samples`; earlier sessions have (m,) excesses of either kind
     second_*          of the second lidar; None if there is none
     """
 
@@ -39,7 +45,7 @@ class SensorModelsRecord(Record):
     noise_lines: Finite | None = Field(default=None, gt=0.0)
     odometry_samples: list[list[Finite]]
     odometry_expected: list[_SystematicError] = Field(default=PERFECT.tolist(), min_length=6, max_length=6)
-    roughness_samples: list[Finite]
+    roughness_samples: list[_RoughnessSample | Finite]
     second_sigma_range: Finite | None = Field(default=None, gt=0.0)
     second_sigma_bearing: Finite | None = Field(default=None, gt=0.0, le=math.pi)
     second_segmentation_range: Finite | None = Field(default=None, gt=0.0)
@@ -58,6 +64,12 @@ class SensorModelsRecord(Record):
             roughness_samples=roughness_samples.tolist(),
             **({} if second_noise is None else _values(second_noise, "second_")),
         )
+
+    @property
+    def roughness(self) -> Floats:
+        """Samples (m, 2, 2) of the wall roughness; those of earlier sessions are of both, with equal weights."""
+        old = [[(s, INITIAL_VARIANCE)] * 2 if isinstance(s, float) else s for s in self.roughness_samples]
+        return np.array(old, dtype=np.float64).reshape(-1, 2, 2)
 
     @property
     def noise(self) -> LearnedNoise:

@@ -142,7 +142,7 @@ def _read_slam_state(
     check_factors(folder / FACTORS, graph, factors, unconfirmed, landmarks)
     check_drift(folder / KEYFRAMES, records.correlated_drift, factors)
     roughness = WallRoughness()
-    roughness.add_samples(np.array(header.sensor_models.roughness_samples))
+    roughness.add_samples(header.sensor_models.roughness)
     free_space_evidence = read_free_space_evidence(folder / WALLS)
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):  # damaged numbers raise ArithmeticError

@@ -44,6 +44,6 @@ def _describe_submap(mapper: Mapper, history: ScanHistory, keyframes: range) -> 
     ]
     part = replace(history, keyframes=rows)
     recount_observations(landmarks, part, landmark_ids, poses)
-    recompute_covariances(landmarks, part, landmark_ids, poses, mapper.roughness.variance)
+    recompute_covariances(landmarks, part, landmark_ids, poses, mapper.roughness.variances)
     landmarks.confirm_observed(CONFIRMING_KEYFRAMES)
-    return describe_map(landmarks, mapper.roughness.variance)
+    return describe_map(landmarks, mapper.roughness.variances)

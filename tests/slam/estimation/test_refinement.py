@@ -22,6 +22,7 @@ from slam.estimation.slam_state import SlamState
 from slam.evaluation.benchmarks.scenarios.buildings import random_building
 from slam.evaluation.metrics import score_reference
 from slam.events import EventRecorder, GraphInspected, MapUpdated
+from slam.geometry.roughness import Roughness
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.io.tum import Trajectory
 from slam.localisation.match_target import MatchTarget, ScanMatch
@@ -40,6 +41,7 @@ from slam.preprocessing.preprocessor import Preprocessor, ProcessedScan
 
 from ..outlines import visible, with_noise
 
+SMOOTH = Roughness(0.0, 0.0)
 TWIN_DISTANCE = 0.03  # metres between a wall and its false twin
 
 
@@ -134,7 +136,7 @@ def test_the_first_scan_is_held_by_odometry_to_the_second(
         session.mapper.landmarks,
         session.poses,
         session.path_distances,
-        0.0,
+        SMOOTH,
         0.0,
         session.odometry_model,
         nowhere,
@@ -160,7 +162,7 @@ def test_distance_fields_are_kept_for_later_laps(session: MappedSession, monkeyp
     keyframes, nowhere = np.arange(len(poses)), np.zeros(len(history), dtype=bool)
     poses[:, 0] = 100.0 * (keyframes // 2 % 2)  # in each of two rooms, one with an even and one with an odd number
     matcher = FullMapMatcher(
-        history, landmarks, poses, session.path_distances, 0.0, 0.0, session.odometry_model, nowhere
+        history, landmarks, poses, session.path_distances, SMOOTH, 0.0, session.odometry_model, nowhere
     )
     placed = history.scan_poses(poses)
     for row in range(len(history)):
@@ -197,7 +199,7 @@ def test_an_even_motion_costs_as_much_as_a_slip(
     wrong[row], middle = known_wrong, poses[row].copy()
     poses[row] = se2.compose(middle, np.array([0.5, 0.0, 0.0]))  # away from the motion between its neighbours
     matcher = FullMapMatcher(
-        history, mapper.landmarks, session.poses, session.path_distances, 0.0, 0.0, session.odometry_model, wrong
+        history, mapper.landmarks, session.poses, session.path_distances, SMOOTH, 0.0, session.odometry_model, wrong
     )
     seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
@@ -220,7 +222,7 @@ def test_a_scan_between_tracked_neighbours_is_searched_near_the_even_motion(
     poses[row] = se2.compose(poses[row], np.array([0.0, 0.0, 2.0]))
     landmarks = session.mapper.landmarks
     matcher = FullMapMatcher(
-        history, landmarks, session.poses, session.path_distances, 0.0, 0.0, session.odometry_model, wrong
+        history, landmarks, session.poses, session.path_distances, SMOOTH, 0.0, session.odometry_model, wrong
     )
     seen = predictions_of(monkeypatch)
     matcher.match(row, poses, matcher.local_map(row, poses[row]))
@@ -358,7 +360,7 @@ def test_only_linked_passes_count_as_one_map(linked: bool) -> None:
     path_distances = passes_of(len(keyframes), [(1, count)] if linked else [])
     path_distances = replace(path_distances, driven=STEP * keyframes + MAX_PATH * (keyframes >= count))
     nowhere, model = np.zeros(2 * count, dtype=bool), OdometryModel(OdometryConfig())
-    matcher = FullMapMatcher(history, mapper.landmarks, poses, path_distances, 0.0, 0.0, model, nowhere)
+    matcher = FullMapMatcher(history, mapper.landmarks, poses, path_distances, SMOOTH, 0.0, model, nowhere)
     placed = history.scan_poses(poses)
     moved = np.zeros(2 * count)
     for row in range(count, 2 * count):

@@ -67,7 +67,7 @@ def test_slam_state_is_read_back(written: tuple[StoredSession, Path]) -> None:
     assert state.mapper.landmarks.covered == expected.mapper.landmarks.covered
     assert state.mapper.landmarks.opened == expected.mapper.landmarks.opened
     assert state.mapper.free_space_evidence.counts == expected.mapper.free_space_evidence.counts
-    assert state.mapper.roughness.variance == expected.mapper.roughness.variance
+    assert state.mapper.roughness.variances == expected.mapper.roughness.variances
     np.testing.assert_array_equal(state.odometry_model.deviations, expected.odometry_model.deviations)
     for before, after in zip(expected.mapper.landmark_ids, state.mapper.landmark_ids, strict=True):
         np.testing.assert_array_equal(after.walls, before.walls)
@@ -298,6 +298,18 @@ def test_the_readings_of_odometry_at_fixes_are_kept(written: tuple[StoredSession
         assert of_earlier.stamp == last
         np.testing.assert_array_equal(after.pose, before.pose)
         np.testing.assert_array_equal(of_earlier.pose, before.pose)
+
+
+def test_the_roughness_of_earlier_sessions_is_that_of_offsets_and_ends(
+    written: tuple[StoredSession, Path], tmp_path: Path
+) -> None:
+    """Earlier versions have estimated one variance for both, from samples without what was expected."""
+    path = shutil.copytree(written[1], tmp_path / "out")
+    header = path / SESSION / HEADER
+    data = json.loads(header.read_text())
+    data["sensor_models"]["roughness_samples"] = [1e-5, 2e-5, 4e-5] * 100
+    header.write_text(json.dumps(data))
+    assert read_session(path).slam_state.mapper.roughness.variances == pytest.approx((2e-5, 2e-5))
 
 
 def readings_at_fixes(state: SlamState) -> list[Odometry]:

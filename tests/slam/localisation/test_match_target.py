@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from slam.geometry.roughness import Roughness
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.match_target import MatchTarget
 from slam.mapping.landmarks import Landmarks
@@ -18,6 +19,7 @@ from slam.matching.scan_points import WEIGHT, ScanPoints
 
 from ..outlines import noisy_field, outline, scan_points, visible, with_noise
 
+SMOOTH = Roughness(0.0, 0.0)
 ROOM = outline([(0, 0), (5, 0), (5, 4), (0, 4)])
 WALLS = np.array([[2.5, 0.0, 0.0], [5.0, 2.0, 0.5 * np.pi], [2.5, 4.0, np.pi], [0.0, 2.0, -0.5 * np.pi]])
 HALVES = np.array([2.5, 2.0, 2.5, 2.0])
@@ -40,7 +42,7 @@ def room_target() -> MatchTarget:
     for frame, half in zip(WALLS, HALVES, strict=True):
         landmarks.add_wall(frame, half, 0)
     landmarks.walls.rows["covariance"][:] = 1e-6 * np.eye(2)
-    return MatchTarget(local_map_around(landmarks, TRUTH, 20.0, np.zeros((1, 3, 3))), FIELD, 0.0)
+    return MatchTarget(local_map_around(landmarks, TRUTH, 20.0, np.zeros((1, 3, 3))), FIELD, SMOOTH)
 
 
 def test_scan_of_a_known_room_is_matched_with_walls_and_points() -> None:
@@ -109,7 +111,7 @@ def test_odometry_holds_after_a_gap_against_one_of_many_places_that_look_alike(a
     field.insert(pose + to_copy, scan_points(corner + to_copy[:2], pose + to_copy))
     by_odometry = Prediction(pose + to_copy + [0.35, 0.0, 0.0], np.diag(np.array([0.1, 0.1, 0.02]) ** -2.0))
     even = Prediction(pose, np.diag(np.array([5.0, 5.0, 0.02]) ** -2.0))
-    target = MatchTarget(empty_local_map(), field, 0.0)
+    target = MatchTarget(empty_local_map(), field, SMOOTH)
     match = target.match(scan_of(ROOM, pose), [by_odometry, even], earlier_evidence=0.0, after_gap=after_gap)
     assert (match.points.prediction is by_odometry) is after_gap
     assert np.hypot(*(match.points.pose - (pose + to_copy if after_gap else pose))[:2]) < 0.05
@@ -124,7 +126,7 @@ def test_the_evidence_of_scans_in_a_row_against_odometry_adds_up(earlier: float)
     pose, known = np.array([0.0, 1.5, 0.0]), np.diag(np.array([0.05, 0.05, 0.02]) ** -2.0)
     post = np.column_stack([np.full(8, 2.0), np.linspace(1.0, 1.2, 8)])
     corridor = np.vstack([outline([(-15, 0), (15, 0)]), outline([(-15, 3), (15, 3)]), post])
-    target = MatchTarget(empty_local_map(), noisy_field(corridor, pose, half_width=20.0), 0.0)
+    target = MatchTarget(empty_local_map(), noisy_field(corridor, pose, half_width=20.0), SMOOTH)
     scan = scan_of(corridor, pose)
     points = scan.surface_points()
     points[:, WEIGHT] = 0.2

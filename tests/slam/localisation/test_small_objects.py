@@ -11,6 +11,7 @@ from drivers import se2
 from drivers.simulation import LidarModel, Simulation, load_world
 from slam import Slam
 from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
+from slam.geometry.roughness import Roughness
 from slam.geometry.segments import CornerPoints, Floats, Integers, Segments
 from slam.localisation.match_target import MatchTarget
 from slam.localisation.small_objects import MAX_OBJECTS, SmallObjects, objects_of
@@ -23,6 +24,7 @@ from slam.matching.scan_points import WEIGHT, ScanPoints
 from ..outlines import NO_SEGMENTS, noisy_field, outline, visible, with_noise
 
 RANGE, WIDTH = 6.0, 2.0  # metres
+SMOOTH = Roughness(0.0, 0.0)
 CORRIDOR = outline([(-20, -0.5 * WIDTH), (20, -0.5 * WIDTH), (20, 0.5 * WIDTH), (-20, 0.5 * WIDTH)])
 DRIVEN = np.array([0.4, 0.0, 0.0])  # from the first scan to the second one
 STANDING = np.zeros(3)
@@ -64,7 +66,7 @@ def matched(before: Floats, now: Floats, pose: Floats, objects: SmallObjects) ->
     scan = scan_from(pose, now)
     odometry = Prediction(DRIVEN, np.diag(np.array([0.03, 0.02, 0.01]) ** -2.0))
     slip = Prediction(STANDING, np.diag(np.array([0.3, 0.1, 0.05]) ** -2.0), cost=3.0)
-    target = MatchTarget(empty_local_map(), field, 0.0)
+    target = MatchTarget(empty_local_map(), field, SMOOTH)
     return target.match(scan, [odometry, slip], objects.weighted_points(scan), earlier_evidence=0.0).points.pose
 
 

@@ -16,6 +16,7 @@ from slam import Finished, Slam
 from slam.config import OdometryConfig
 from slam.evaluation.benchmarks.scenarios.world_variants import add_crowd
 from slam.events import EventRecorder, Notice
+from slam.geometry.roughness import Roughness
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.match_target import MatchTarget, ScanMatch
 from slam.localisation.tracker import Tracker
@@ -31,6 +32,7 @@ from slam.odometry.predicted_motion import PredictedMotionModel
 
 from ..outlines import noisy_field, outline, scan_points, visible, with_noise
 
+SMOOTH = Roughness(0.0, 0.0)
 ROOM = outline([(0, 0), (5, 0), (5, 2), (3.5, 2), (3.5, 4), (0, 4)])  # angular, without symmetry
 WIDE = np.diag(1 / np.array([0.6, 0.6, np.radians(25.0)]) ** 2)  # information of a prediction after odometry has failed
 STANDS = np.array([1.8, 1.7, -0.35])
@@ -232,7 +234,7 @@ def results_after_gap(
     metres and radians; `model` is that of odometry's errors.
     """
     tracker = Tracker(DeadReckoning(model or OdometryModel(OdometryConfig())))
-    target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
+    target = MatchTarget(empty_local_map(), ROOM_FIELD, SMOOTH)
     for k in range(12):
         pose = np.array([1.0 + 0.05 * k, 1.5, 0.0])
         if not k:
@@ -303,7 +305,7 @@ def test_a_robot_that_stands_where_no_motion_leads_was_carried(
 ) -> None:
     """Its scans fit well and agree with each other, but a place out of reach may be anywhere and look alike."""
     tracker = Tracker(DeadReckoning(OdometryModel(OdometryConfig())))
-    target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
+    target = MatchTarget(empty_local_map(), ROOM_FIELD, SMOOTH)
     stood = np.array([1.5, 1.5, 0.0])
     tracker.move_to(stood, Odometry(0.0, stood))
     for k in range(30):
@@ -317,7 +319,7 @@ def test_a_robot_that_stands_where_no_motion_leads_was_carried(
 def test_a_scan_out_of_reach_is_forgotten_if_the_next_one_fits() -> None:
     """Afterwards the robot may be pushed as before."""
     tracker = Tracker(DeadReckoning(OdometryModel(OdometryConfig())))
-    target = MatchTarget(empty_local_map(), ROOM_FIELD, 0.0)
+    target = MatchTarget(empty_local_map(), ROOM_FIELD, SMOOTH)
     stood = np.array([1.5, 1.5, 0.0])
     motions = [*30 * [(0.0, 0.0, 0.0)], (0.0, 0.05, 0.4), (0.0, 0.0, 0.0), (0.12, 0.0, 0.0)]
     tracker.move_to(stood, Odometry(0.0, stood))
@@ -340,13 +342,13 @@ def test_only_a_slip_that_the_last_metres_show_is_believed(slips: bool) -> None:
         pose = begin + np.array([0.05 * k, 0.0, 0.0])
         if not k:
             tracker.move_to(pose, Odometry(0.0, pose))
-        tracker.track(Odometry(0.1 * k, pose), seen_from(pose), MatchTarget(empty_local_map(), recent, 0.0))
+        tracker.track(Odometry(0.1 * k, pose), seen_from(pose), MatchTarget(empty_local_map(), recent, SMOOTH))
     pose = pose + (aside if slips else np.zeros(3)) + np.array([0.05, 0.0, 0.0])
     odometry = begin + np.array([0.4, 0.0, 0.0])
     field = recent if slips else earlier
     for k in (8, 9):
         result = tracker.track(
-            Odometry(0.1 * k, odometry), seen_from(pose), MatchTarget(empty_local_map(), field, 0.0, lambda: recent)
+            Odometry(0.1 * k, odometry), seen_from(pose), MatchTarget(empty_local_map(), field, SMOOTH, lambda: recent)
         )
     assert result.contradicts_old_map is not slips
     assert result.status is TrackingStatus.TRACKED
@@ -359,7 +361,7 @@ def test_a_sudden_turn_in_a_round_room_is_found_without_odometry() -> None:
     wall = outline([(3.0 * np.cos(angle), 3.0 * np.sin(angle)) for angle in angles])
     boxes = [outline([(x, y), (x + 0.4, y), (x + 0.4, y + 0.4), (x, y + 0.4)]) for x, y in [(1.8, 0.5), (-0.6, -2.0)]]
     room = np.concatenate([wall, *boxes])
-    target = MatchTarget(empty_local_map(), noisy_field(room, np.zeros(3)), 0.0)
+    target = MatchTarget(empty_local_map(), noisy_field(room, np.zeros(3)), SMOOTH)
     for turn in (-0.6, -0.4, 0.4, 0.6):
         tracker = Tracker(DeadReckoning(PredictedMotionModel(OdometryConfig(source="none"))))
         pose = odometry = np.zeros(3)

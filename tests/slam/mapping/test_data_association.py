@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from slam.geometry.roughness import Roughness
 from slam.geometry.segments import CornerPoints, Segments
 from slam.mapping.data_association import AMBIGUOUS, UNMATCHED, RowAssociation, associate
 from slam.mapping.landmarks import Landmarks
@@ -14,6 +15,7 @@ CERTAIN = np.diag([0.002, 0.002, 0.001]) ** 2
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), int), np.zeros((0, 2)))
 NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
 HALF = 0.5
+ROUGHNESS = Roughness(1e-6, 1e-6)
 
 
 def local_map_of(*walls: tuple[float, float, float], half: float = 2.0, observations: tuple[int, ...] = ()) -> LocalMap:
@@ -34,7 +36,7 @@ def seen(*frames: tuple[float, float, float], sigma: float = 0.003) -> Segments:
 
 
 def match(segments: Segments, local_map: LocalMap, covariance: np.ndarray = CERTAIN) -> RowAssociation:
-    return associate(POSE, covariance, segments, NO_CORNERS, local_map, 1e-6)
+    return associate(POSE, covariance, segments, NO_CORNERS, local_map, ROUGHNESS)
 
 
 def test_each_segment_is_matched_to_its_own_wall() -> None:
@@ -124,7 +126,7 @@ def test_corners_are_matched_by_position_and_headings() -> None:
         ((4.06, 0.06), (0.0, 1.57)),  # beside the first
         ((8.0, 0.0), (0.0, 1.57)),  # elsewhere
     )
-    found = associate(POSE, CERTAIN, NO_SEGMENTS, corners, local_map, 1e-6)
+    found = associate(POSE, CERTAIN, NO_SEGMENTS, corners, local_map, ROUGHNESS)
     np.testing.assert_array_equal(found.corners, [1, UNMATCHED, AMBIGUOUS, UNMATCHED])
     np.testing.assert_array_equal(np.isnan(found.corner_distance), [False, True, False, True])
 
@@ -135,14 +137,14 @@ def test_a_corner_is_matched_once() -> None:
     landmarks.corners.rows["covariance"][:] = 1e-5 * np.eye(2)
     local_map = local_map_around(landmarks, np.zeros(3), 50.0, np.zeros((1, 3, 3)))
     twice = corners_seen(((4.004, 0.0), (0.0, 1.57)), ((4.0, 0.0), (0.0, 1.57)))
-    found = associate(POSE, CERTAIN, NO_SEGMENTS, twice, local_map, 1e-6)
+    found = associate(POSE, CERTAIN, NO_SEGMENTS, twice, local_map, ROUGHNESS)
     np.testing.assert_array_equal(found.corners, [AMBIGUOUS, 0])
 
 
 def test_empty_scans_and_maps() -> None:
-    assert len(associate(POSE, CERTAIN, NO_SEGMENTS, NO_CORNERS, local_map_of((0.0, 1.0, 0.0)), 0.0).walls) == 0
+    assert len(associate(POSE, CERTAIN, NO_SEGMENTS, NO_CORNERS, local_map_of((0.0, 1.0, 0.0)), ROUGHNESS).walls) == 0
     found = associate(
-        POSE, CERTAIN, seen((2.0, -2.0, 0.0)), corners_seen(((1.0, 1.0), (0.0, 1.0))), empty_local_map(), 0.0
+        POSE, CERTAIN, seen((2.0, -2.0, 0.0)), corners_seen(((1.0, 1.0), (0.0, 1.0))), empty_local_map(), ROUGHNESS
     )
     np.testing.assert_array_equal(found.walls, [UNMATCHED])
     np.testing.assert_array_equal(found.corners, [UNMATCHED])

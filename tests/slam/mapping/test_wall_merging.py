@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from slam.geometry.roughness import Roughness
 from slam.mapping.keyframes import WallMerge
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, local_map_around
@@ -19,7 +20,7 @@ def pair(second: tuple[float, float, float], sigma: float = 0.003, half: float =
 
 
 def duplicate(local_map: LocalMap, mature: bool = True, observed: bool = True) -> WallMerge | None:
-    return find_duplicate_wall(local_map, np.array([True, mature]), np.array([False, observed]), 1e-6)
+    return find_duplicate_wall(local_map, np.array([True, mature]), np.array([False, observed]), Roughness(1e-6, 1e-6))
 
 
 def test_two_landmarks_on_one_wall_are_found() -> None:

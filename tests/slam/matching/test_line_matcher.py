@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
+from slam.geometry.roughness import Roughness
 from slam.geometry.segments import CornerPoints, Segments
 from slam.mapping.landmarks import Landmarks
 from slam.mapping.local_map import LocalMap, empty_local_map, local_map_around
@@ -17,6 +18,7 @@ from slam.matching.scan_points import FINE_SIGMA, ScanPoints, segments_of, surfa
 
 from ..outlines import NO_SEGMENTS
 
+SMOOTH = Roughness(0.0, 0.0)
 ROOM = np.array([[1.0, -2.0, 0.0], [4.0, 0.0, np.pi / 2], [1.0, 2.0, np.pi], [-2.0, 0.5, -np.pi / 2], [1.0, 0.5, 0.5]])
 ROOM_HALVES = np.array([3.0, 2.0, 3.0, 1.4, 0.4])
 CORRIDOR = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, np.pi]])
@@ -64,7 +66,7 @@ def field_of(points: np.ndarray) -> DistanceField:
 
 def register_scan(prediction: np.ndarray, scan: ScanFeatures, local_map: LocalMap) -> Registration:
     """Register a scan without points, starting at the prediction."""
-    return register(prediction, prediction, LOOSE_PRIOR, scan, np.zeros((0, 6)), local_map, EMPTY_FIELD, 0.0)
+    return register(prediction, prediction, LOOSE_PRIOR, scan, np.zeros((0, 6)), local_map, EMPTY_FIELD, SMOOTH)
 
 
 def match_and_register(
@@ -73,7 +75,7 @@ def match_and_register(
     """Register a scan, starting where its points fit best near the prediction."""
     points = surface_points(scan.points.xy, scan.segments, POINT_SPACING)
     start = match_points(field, points, [Prediction(prediction, LOOSE_PRIOR)])[0].pose
-    return register(start, prediction, LOOSE_PRIOR, scan, points, local_map, field, 0.0)
+    return register(start, prediction, LOOSE_PRIOR, scan, points, local_map, field, SMOOTH)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -161,7 +163,7 @@ def test_points_on_matched_walls_count_by_the_walls_alone(displacement: float) -
     scan = simulate_scan(truth, ROOM, ROOM_HALVES)
     field = field_of(wall_points(ROOM, ROOM_HALVES) + displacement)
     walls, points = build_local_map(ROOM, ROOM_HALVES), points_on(scan.segments)
-    found = register(truth, truth, LOOSE_PRIOR, scan, points, walls, field, 0.0)
+    found = register(truth, truth, LOOSE_PRIOR, scan, points, walls, field, SMOOTH)
     np.testing.assert_array_equal(found.point_information, 0.0)
     np.testing.assert_array_equal(found.total_information, found.information)
     np.testing.assert_array_equal(found.pose, register_scan(truth, scan, walls).pose)
@@ -172,14 +174,14 @@ def test_points_on_walls_that_are_not_known_count_by_the_field() -> None:
     start = se2.compose(truth, [0.05, -0.04, 0.01])
     scan = simulate_scan(truth, ROOM, ROOM_HALVES)
     points, field = points_on(scan.segments), field_of(wall_points(ROOM, ROOM_HALVES))
-    found = register(start, start, LOOSE_PRIOR, scan, points, empty_local_map(), field, 0.0)
+    found = register(start, start, LOOSE_PRIOR, scan, points, empty_local_map(), field, SMOOTH)
     np.testing.assert_array_equal(found.information, 0.0)
     np.testing.assert_allclose(found.pose, truth, atol=6e-3)  # the segments have an error of 2 mm
     assert 0.5 < np.trace(found.point_information[:2, :2]) / (len(points) / FINE_SIGMA**2) < 1.0
     known = build_local_map(ROOM[:1], ROOM_HALVES[:1])  # one of five walls
-    part = register(start, start, LOOSE_PRIOR, scan, points, known, field, 0.0)
+    part = register(start, start, LOOSE_PRIOR, scan, points, known, field, SMOOTH)
     others = points[segments_of(points, scan.segments) != 0]
-    without = register(start, start, LOOSE_PRIOR, scan, others, known, field, 0.0)
+    without = register(start, start, LOOSE_PRIOR, scan, others, known, field, SMOOTH)
     np.testing.assert_array_equal(part.point_information, without.point_information)
     np.testing.assert_array_equal(part.pose, without.pose)
     assert 0 < len(others) < len(points)
@@ -194,7 +196,7 @@ def test_pose_of_the_points_is_independent_of_the_walls() -> None:
     scan = simulate_scan(truth, CORRIDOR, CORRIDOR_HALVES)
     points = surface_points(se2.transform(se2.inverse(truth), clutter), NO_SEGMENTS, POINT_SPACING)
     walls, field = build_local_map(CORRIDOR, CORRIDOR_HALVES), field_of(clutter + displacement)
-    found = register(truth, truth, LOOSE_PRIOR, scan, points, walls, field, 0.0)
+    found = register(truth, truth, LOOSE_PRIOR, scan, points, walls, field, SMOOTH)
     assert found.pose[0] == pytest.approx(truth[0] + displacement[0], abs=2e-3)  # the walls do not determine it
     assert found.pose[1] == pytest.approx(truth[1], abs=4e-3)
     np.testing.assert_allclose(found.point_pose[:2], truth[:2] + displacement, atol=5e-3)

@@ -11,13 +11,14 @@ from hypothesis import strategies as st
 from typer.testing import Result
 
 from drivers import se2
+from slam.geometry.roughness import Roughness
 from slam.geometry.segments import Floats
 from slam.mapping.landmarks import Landmarks
 from slam.recognition.map_descriptor import MapDescriptor, describe_map, express_in_frame
 from slam.recognition.map_index import MapIndex, align_candidates
 from slam.recognition.wall_pairs import build_pair_table, vote_for_poses
 
-ROUGHNESS = 1e-6
+ROUGHNESS = Roughness(1e-6, 1e-6)
 
 
 def room(x: float, y: float, width: float, depth: float, niche: float) -> Floats:
