@@ -29,25 +29,27 @@ def walls_around(count: int) -> LocalMap:
     )  # fmt: skip
 
 
-def learn(offset: float, ends: float, *, wrong: float = 0.0, poses: float = 0.01) -> WallRoughness:
-    """Return what 80 scans of twelve walls show, with segments, landmarks and poses whose errors are as stated.
+def learn(
+    offset: float, ends: float, *, wrong: float = 0.0, poses: float = 0.01, walls: int = 12, scans: int = 80
+) -> WallRoughness:
+    """Return what scans of walls show, with segments, landmarks and poses whose errors are as stated.
 
     offset, ends  roughness, metres
     wrong         metres by which one segment of each scan is off, as if it belonged to another surface
     poses         standard deviation of the poses that the scans are given at, metres
     """
-    random, estimate, local_map = np.random.default_rng(0), WallRoughness(), walls_around(12)
-    halves = np.full(12, 0.8)
-    covariance = np.tile(4e-6 * np.eye(2), (12, 1, 1))
+    random, estimate, local_map = np.random.default_rng(0), WallRoughness(), walls_around(walls)
+    halves = np.full(walls, 0.8)
+    covariance = np.tile(4e-6 * np.eye(2), (walls, 1, 1))
     own = np.sqrt(np.diagonal(add_roughness(covariance, halves, Roughness(offset**2, ends**2)), axis1=1, axis2=2))
-    for _ in range(80):
+    for _ in range(scans):
         pose = np.array([*random.uniform(-1.0, 1.0, 2), random.uniform(-3.0, 3.0)])
-        errors = np.zeros((12, 3))
-        errors[:, 1:] = own * random.normal(size=(12, 2)) - 1e-3 * random.normal(size=(12, 2))
-        errors[random.integers(12), 1] += wrong
+        errors = np.zeros((walls, 3))
+        errors[:, 1:] = own * random.normal(size=(walls, 2)) - 1e-3 * random.normal(size=(walls, 2))
+        errors[random.integers(walls), 1] += wrong
         frames = se2.between(pose, se2.compose(local_map.frame, errors))
         found = se2.compose(pose, poses * np.array([1.0, 1.0, 0.5]) * random.normal(size=3))
-        estimate.add_scan(found, Segments(frames, halves, covariance), local_map, np.arange(12))
+        estimate.add_scan(found, Segments(frames, halves, covariance), local_map, np.arange(walls))
     return estimate
 
 
@@ -68,6 +70,12 @@ def test_pose_that_follows_the_walls_does_not_hide_their_roughness() -> None:
     """The pose of a scan may be that by its walls: only what the other walls say about a segment counts."""
     at_true_poses, off = learn(0.004, 0.004, poses=0.0), learn(0.004, 0.004)
     assert np.sqrt(at_true_poses.variances) == pytest.approx(np.sqrt(off.variances), rel=0.02)
+
+
+def test_walls_that_nothing_else_determines_do_not_count() -> None:
+    """Of three walls around the robot, any two leave the way along the third one's normal uncertain or not at all."""
+    found = learn(0.005, 0.005, walls=3, scans=300)
+    assert np.sqrt(found.variances.offset) == pytest.approx(0.005, rel=0.3)
 
 
 def test_a_single_wall_shows_no_roughness() -> None:
