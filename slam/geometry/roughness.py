@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from drivers.compiled import inlined
+
 from .segments import Floats
 
 
@@ -30,3 +32,17 @@ def add_roughness(covariances: Floats, half_lengths: Floats, roughness: Roughnes
     result[:, 0, 0] += roughness.offset
     result[:, 1, 1] += 3 * roughness.ends / half_lengths**2
     return result
+
+
+@inlined
+def wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-untyped-def]
+    """Return the information of the offset and heading of a segment relative to its wall: (yy, yt, tt).
+
+    `segment` and `wall` are the covariances (2, 2) of both, `half` is half the length of the segment, `along` the
+    position of its middle on the wall. For `roughness` see `Roughness`.
+    """
+    yy = segment[0, 0] + roughness[0] + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
+    yt = segment[0, 1] + wall[0, 1] + along * wall[1, 1]
+    tt = segment[1, 1] + 3 * roughness[1] / half**2 + wall[1, 1]
+    determinant = yy * tt - yt * yt
+    return tt / determinant, -yt / determinant, yy / determinant

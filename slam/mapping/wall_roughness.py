@@ -21,10 +21,9 @@ from drivers.compiled import compiled
 from ..geometry.angles import wrap_angle
 from ..geometry.median import weighted_median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
-from ..geometry.roughness import Roughness
+from ..geometry.roughness import Roughness, wall_weights
 from ..geometry.segments import Floats, Integers, Segments
 from ..geometry.small_matrices import inverse, product, quadratic_form
-from ..matching.landmark_equations import wall_weights
 from .local_map import LocalMap
 
 # Latest samples used: some fifty keyframes. Origin: chosen, follows a change of building; not measured.

@@ -9,6 +9,7 @@ from drivers.compiled import inlined
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.angles import wrap_angle
+from ..geometry.roughness import wall_weights
 from ..geometry.segments import Floats
 from ..mapping.data_association import MAX_CORNER_HEADING_DIFFERENCE
 from ..mapping.wall_cells import MIN_GAP_BETWEEN_PIECES
@@ -92,19 +93,6 @@ def add_walls(  # type: ignore[no-untyped-def]
         information[0, 2] += j0 * (wyy * j2 + wyt)
         information[1, 2] += j1 * (wyy * j2 + wyt)
     information[1, 0], information[2, 0], information[2, 1] = information[0, 1], information[0, 2], information[1, 2]
-
-
-@inlined
-def wall_weights(segment, half, wall, along, roughness):  # type: ignore[no-untyped-def]
-    """Return the information of the offset and heading of a segment relative to its wall: (yy, yt, tt).
-
-    `segment` and `wall` are the covariances (2, 2) of both, `along` the position of the segment's middle on the wall.
-    """
-    yy = segment[0, 0] + roughness[0] + wall[0, 0] + 2 * along * wall[0, 1] + along * along * wall[1, 1]
-    yt = segment[0, 1] + wall[0, 1] + along * wall[1, 1]
-    tt = segment[1, 1] + 3 * roughness[1] / half**2 + wall[1, 1]
-    determinant = yy * tt - yt * yt
-    return tt / determinant, -yt / determinant, yy / determinant
 
 
 @inlined
