@@ -18,7 +18,7 @@ from drivers.compiled import compiled
 from ..geometry.angles import axes_of, wrap_angle
 from ..geometry.chi_square import chi_square_quantile
 from ..geometry.membership import is_among
-from ..geometry.roughness import Roughness
+from ..geometry.roughness import Roughness, add_roughness
 from ..geometry.segments import Floats, Integers
 from ..geometry.significance import STRICT_GATE
 from ..geometry.surroundings import SURFACE_DEPTH
@@ -67,8 +67,8 @@ class Overlap:
         `covariance` (2, 2) is that of offset and turn; the wall roughness is added to it.
         """
         difference = np.array([self.offset, self.turn])
-        of_roughness = np.diag([roughness.offset, 12 * roughness.ends / self.length**2])
-        return float(difference @ np.linalg.solve(covariance + of_roughness, difference))
+        (whole,) = add_roughness(covariance[None], np.array([0.5 * self.length]), roughness)
+        return float(difference @ np.linalg.solve(whole, difference))
 
 
 def find_duplicate_wall(

@@ -19,20 +19,19 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
-from ..geometry.median import weighted_median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.roughness import Roughness, wall_weights
 from ..geometry.segments import Floats, Integers, Segments
 from ..geometry.small_matrices import inverse, product, quadratic_form
 from .local_map import LocalMap
 
-# Latest samples used: some fifty keyframes. Origin: chosen, follows a change of building; not measured.
+# Latest observations used: some hundred keyframes. Origin: chosen, follows a change of building; not measured.
 MAX_ROUGHNESS_SAMPLES = 1000
 # Square metres, assumed before observations. Small, as it stays in the factors of the first keyframes, which fix the
 # map's frame. Origin: tuned on simulated drives: with larger values the covariances were too pessimistic.
 INITIAL_VARIANCE = 0.0003**2
-# Samples from which on the initial variance has no weight. Origin: tuned on simulated drives: with more, the roughness
-# was learned too late for consistent covariances.
+# Observations from which on the initial variance has no weight. Origin: tuned on simulated drives: with more, the
+# roughness was learned too late for consistent covariances.
 FULL_WEIGHT_SAMPLES = 200
 # Keyframes that must have observed a wall before residuals about it are used for the wall roughness.
 # Origin: chosen, the wall's own error must be small; not measured.
@@ -54,17 +53,16 @@ class WallRoughness:
     def add_samples(self, samples: Floats) -> None:
         """Add `samples` (n, 2, 2), e.g. of a saved estimate, and estimate the variances again.
 
-        A variance is the median excess of the squared residuals, which wrong associations do not affect. The weight of
-        each is its information on the variance: a normal variable of variance v has 1 / (2 v^2).
+        With few samples, the initial variances have weight.
         """
         self.samples = np.concatenate([self.samples, samples])[-MAX_ROUGHNESS_SAMPLES:]
         if len(self.samples):
             weight = min(1.0, len(self.samples) / FULL_WEIGHT_SAMPLES)
-            medians = [
-                max(0.0, weighted_median(excess, (expected + variance) ** -2.0))
+            offset, ends = (
+                weight * _estimate(excess, expected, variance) + (1 - weight) * INITIAL_VARIANCE
                 for (excess, expected), variance in zip(self.samples.transpose(1, 2, 0), self.variances, strict=True)
-            ]
-            self.variances = Roughness(*(weight * one + (1 - weight) * INITIAL_VARIANCE for one in medians))
+            )
+            self.variances = Roughness(offset, ends)
 
     def add_scan(self, pose: se2.Pose, segments: Segments, local_map: LocalMap, rows: Integers) -> None:
         """Update the estimate with the segments of a scan, compared with well-observed walls.
@@ -80,9 +78,19 @@ class WallRoughness:
                 pose, segments.frame[matched], half_lengths, segments.covariance[matched],
                 local_map.frame[walls], local_map.wall_covariance[walls], tuple(self.variances),
             )  # fmt: skip
-            both = np.stack([residuals**2 / NORMAL_MEDIAN - expected, expected], axis=-1)
-            both[:, 1] *= half_lengths[:, None] ** 2 / 3  # of ends
-            self.add_samples(both)
+            samples = np.stack([residuals**2 / NORMAL_MEDIAN - expected, expected], axis=-1)
+            samples[:, 1] *= half_lengths[:, None] ** 2 / 3  # of ends instead of headings
+            self.add_samples(samples)
+
+
+def _estimate(excess: Floats, expected: Floats, variance: float) -> float:
+    """Return the median excess (n,) of squared residuals, on which wrong associations have little influence.
+
+    The weight of each is its information on the variance, 1 / (2 v^2) for a normal variable of variance v, up to a
+    factor. Its v is what was `expected` (n,) without roughness, and the `variance` that was estimated before.
+    """
+    information = (expected + variance) ** -2.0
+    return max(0.0, float(np.quantile(excess, 0.5, weights=information, method="inverted_cdf")))
 
 
 @compiled

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.immutable import immutable
 
-from ..geometry.roughness import Roughness
+from ..geometry.roughness import Roughness, add_roughness
 from ..geometry.segments import Floats, Integers
 from ..mapping.landmarks import Landmarks
 from ..mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
@@ -61,14 +61,12 @@ def describe_map(
     transport = np.tile(np.eye(2), (len(walls), 1, 1))
     transport[:, 0, 1] = middle
     covariance = transport @ rows["covariance"] @ transport.transpose(0, 2, 1)
-    covariance[:, 0, 0] += roughness.offset
-    covariance[:, 1, 1] += 3 * roughness.ends / np.maximum(half, WALL_CELL) ** 2
     stretches = [_observed_stretches(landmarks, int(wall)) - by for wall, by in zip(walls, middle, strict=True)]
     return MapDescriptor(
         walls=walls,
         frame=se2.compose(rows["frame"], along).reshape(-1, 3),
         half_length=half,
-        covariance=covariance,
+        covariance=add_roughness(covariance, np.maximum(half, WALL_CELL), roughness),
         stretches=np.concatenate([np.zeros((0, 2)), *stretches]),
         stretch_wall=np.repeat(np.arange(len(walls)), [len(some) for some in stretches]),
     )

@@ -19,9 +19,9 @@ from .records import Finite, Record
 
 MAX_SYSTEMATIC_ERROR = 10.0
 """Largest systematic error of odometry: far more than any has."""
-MIN_EXPECTED_VARIANCE = 1e-12
-"""Square metres, least variance of a wall's offset: a micrometre is far less than any lidar measures."""
-_Sample = tuple[Finite, Annotated[Finite, Field(ge=MIN_EXPECTED_VARIANCE)]]
+EXPECTED_VARIANCES = 1e-12, 1e12
+"""Square metres, limits of what is expected of a sample of roughness: from a micrometre to what nothing determines."""
+_Sample = tuple[Finite, Annotated[Finite, Field(ge=EXPECTED_VARIANCES[0], le=EXPECTED_VARIANCES[1])]]
 _RoughnessSample = tuple[_Sample, _Sample]
 _SystematicError = Annotated[Finite, Field(ge=-MAX_SYSTEMATIC_ERROR, le=MAX_SYSTEMATIC_ERROR)]
 

@@ -66,8 +66,8 @@ def test_wrong_associations_hardly_change_the_roughness() -> None:
     assert np.sqrt(wrong.variances) == pytest.approx(np.sqrt(right.variances), rel=0.3)
 
 
-def test_pose_that_follows_the_walls_does_not_hide_their_roughness() -> None:
-    """The pose of a scan may be that by its walls: only what the other walls say about a segment counts."""
+def test_the_pose_near_which_a_scan_is_compared_does_not_matter() -> None:
+    """Only what the other walls say about a segment counts."""
     at_true_poses, off = learn(0.004, 0.004, poses=0.0), learn(0.004, 0.004)
     assert np.sqrt(at_true_poses.variances) == pytest.approx(np.sqrt(off.variances), rel=0.02)
 
@@ -79,7 +79,7 @@ def test_walls_that_nothing_else_determines_do_not_count() -> None:
 
 
 def test_a_single_wall_shows_no_roughness() -> None:
-    """Nothing else tells where the robot was."""
+    """Nothing else tells where the robot was: the pose that is given is not trusted."""
     estimate, local_map, random = WallRoughness(), walls_around(1), np.random.default_rng(0)
     initial, covariance = estimate.variances, np.tile(1e-6 * np.eye(2), (1, 1, 1))
     for _ in range(300):
