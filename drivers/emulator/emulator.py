@@ -61,7 +61,7 @@ class Emulator:
         self._world = setup.world if isinstance(setup.world, World) else load_world(setup.world)
         self._pilot = CommandedPilot(self._world)
         self.motion = RobotMotion(self._world, PathPilot(self._world) if setup.drive == "path" else self._pilot)
-        self._time = 0.0
+        self._time = self._longest_pause = 0.0
         self._open_resources = ExitStack()
 
     def __enter__(self) -> Emulator:
@@ -148,19 +148,26 @@ class Emulator:
         # Hardware does not wait for a processor. Without priority, an emulator on a busy computer sends later than any
         # real device would, and programs interpret that as lost measurements.
         with realtime_priority():
+            before = clocks.monotonic() - self.begun
             while (now := clocks.monotonic() - self.begun) < end:
+                self._longest_pause, before = max(self._longest_pause, now - before), now
                 self.step(now)
                 pause = self.due - (clocks.monotonic() - self.begun)
                 clocks.sleep(min(max(pause, MIN_PAUSE), MAX_PAUSE))
 
     def report(self) -> dict[str, Any]:
-        """Return what happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970."""
+        """Return what happened so far, as plain values; `seconds` counts from `begun`, seconds since 1970.
+
+        `longest_pause` is the longest time between two steps in real time, seconds: more than 5 ms and the computing
+        time of a step only if the computer was held up, and then the devices were silent.
+        """
         setup = self.setup
         return {
             "world": self._world.name,
             "seed": setup.seed,
             "begun": self.day,
             "seconds": self._time,
+            "longest_pause": self._longest_pause,
             "mount": list(setup.mount),
             "lidar": self.lidar.report(),
             "base": self.base.report(),

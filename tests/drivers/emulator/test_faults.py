@@ -336,3 +336,14 @@ def test_bytes_keep_their_pace_in_real_time(tmp_path: Path) -> None:
     assert decoder.counters.checksum_failures == 0
     assert emulator.lidar.counts.overrun == 0
     assert not os.path.lexists(tmp_path / "lidar")
+
+
+def test_the_report_states_how_long_the_computer_was_held_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses = iter([0.3])
+    sleep = clocks.sleep
+    monkeypatch.setattr("drivers.emulator.emulator.clocks.sleep", lambda pause: sleep(next(pauses, pause)))
+    with Emulator(EmulatorSetup("room", lidar_port=tmp_path / "lidar", base_port=tmp_path / "base")) as emulator:
+        assert emulator.report()["longest_pause"] == 0.0
+        emulator.run(0.5)
+        held_up = emulator.report()["longest_pause"]
+    assert 0.3 < held_up <= emulator.report()["seconds"]
