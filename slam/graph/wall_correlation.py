@@ -2,22 +2,25 @@
 
 A real wall is bent, and has frames and recesses. Segments fitted to it from neighbouring keyframes err alike, so many
 of them contain less information than as many independent ones. The information of a wall's observations is divided by
-the long-run variance of their whitened residuals in the order of the keyframes (Newey, West 1987), which is one for
-white noise as modelled. Residuals are weighted by the robust kernel, as they are in the estimate, and divided by what
-this leaves of white noise.
+the long-run variance of their whitened errors in the order of the keyframes (Newey, West 1987), which is one for white
+noise as modelled. Only residuals are known: poses and walls were estimated from the same observations and have absorbed
+a part of the errors, about half of the offsets in recordings. So the sum of the products of residuals is divided by
+what it would be for white errors. Residuals are weighted by the robust kernel, as they are in the estimate, and divided
+by what this leaves of white noise.
 
 Equations: docs/mathematics.md#errors-that-repeat.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
 from drivers import se2
+from drivers.immutable import immutable
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from .factors import WALL_CAUCHY_SCALE, Factor, FactorKind, by_kind
 
 # Keyframes over which the errors of one wall are taken as correlated. Origin: chosen, some 5 m of driving, after which
@@ -30,6 +33,8 @@ EQUAL_WEIGHT_COUNT = 4.0 / 3.0 * (MAX_LAG + 1)
 # Variance of a standard normal variable times its robust weight 1 / (1 + z^2 / 8).
 # Origin: chi-square, 1 dof, integrated with WALL_CAUCHY_SCALE.
 WEIGHTED_VARIANCE = 0.593
+# Kinds of factors of a wall's observation. Origin: definition.
+OBSERVATION_KINDS = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
 
 
 def with_correlated_errors(factors: Sequence[Factor], divisors: Floats) -> list[Factor]:
@@ -44,37 +49,82 @@ def with_correlated_errors(factors: Sequence[Factor], divisors: Floats) -> list[
 def divisors_of_information(
     factors: Sequence[Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
 ) -> Floats:
-    """Return (f,) the long-run variances of the residuals of walls, for each of their factors; one for other factors.
+    """Return (f,) the long-run variances of the errors of walls, for each of their factors; one for other factors.
 
     factors  in their order
     poses    of the keyframes, [x, y, heading]
     frames   of the walls
     bias     range bias without which the graph was solved, metres
 
-    Long-run variances below one are taken as one: estimating poses and walls has made residuals smaller than errors.
+    Long-run variances below one are taken as one: single observations are not better than modelled.
     """
     result = np.ones(len(factors))
-    for kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET):
+    groups = []
+    for kind in OBSERVATION_KINDS:
         rows = [row for row, factor in enumerate(factors) if factor.kind is kind]
         if rows:
-            chosen = [factors[row] for row in rows]
-            influence = _weighted_residuals(chosen, poses, frames, bias)
-            walls = np.array([factor.second for factor in chosen])
-            variance = _variances_of_walls(walls, influence)
-            result[rows] = [max(1.0, variance[wall]) for wall in walls.tolist()]
+            groups.append((rows, _observations([factors[row] for row in rows], poses, frames, bias)))
+    covariance_of_poses = _covariances((group.keyframes, group.by_pose) for _, group in groups)
+    covariance_of_walls = _covariances((group.walls, group.by_wall) for _, group in groups)
+    for rows, group in groups:
+        leverage = np.einsum("ni,nij,nj->n", group.by_pose, covariance_of_poses[group.keyframes], group.by_pose)
+        unabsorbed = np.maximum(0.0, 1.0 - leverage)
+        roots = np.linalg.cholesky(covariance_of_walls)[group.walls]
+        by_wall = np.sqrt(unabsorbed)[:, None] * np.einsum("ni,nij->nj", group.by_wall, roots)
+        result[rows] = np.maximum(1.0, _variances_of_walls(group.walls, group.values, unabsorbed, by_wall))
     return result
 
 
-def _weighted_residuals(
-    factors: list[Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
-) -> Floats:
-    """Return the whitened residuals (n,) of factors of one kind of wall observation, times their robust weights.
+@immutable
+class _Observations:
+    """n observations of walls, by one kind of factor, at the solution of the graph.
 
-    Their variance is one for white noise as modelled.
+    keyframes, walls  (n,) rows of the poses and of the walls
+    values   (n,) whitened residuals times their robust weights; their errors have variance one as modelled
+    by_pose  (n, 3) slopes of the whitened residuals by the pose of the keyframe, in its own frame, times the roots of
+             the robust weights
+    by_wall  (n, 2) the same by offset and heading of the wall, in its own frame
     """
+
+    keyframes: Integers
+    walls: Integers
+    values: Floats
+    by_pose: Floats
+    by_wall: Floats
+
+
+def _observations(
+    factors: list[Factor], poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose], bias: float
+) -> _Observations:
+    """Return the factors of one kind of wall observation as arrays; arguments as of `divisors_of_information`."""
     whitened = whitened_residuals(factors, poses, frames, bias)
     weight = 1.0 / (1.0 + (whitened / WALL_CAUCHY_SCALE) ** 2)
-    return np.asarray(weight * whitened / np.sqrt(WEIGHTED_VARIANCE))
+    (group,) = by_kind(factors)
+    keyframes, walls = _rows(poses, [f.first for f in factors]), _rows(frames, [f.second for f in factors])
+    x, y, heading = se2.between(_sorted(poses)[keyframes], _sorted(frames)[walls]).reshape(-1, 3).T
+    sine, cosine, zero, one = np.sin(heading), np.cos(heading), np.zeros_like(x), np.ones_like(x)
+    by_pose, by_wall = np.stack([zero, zero, -one], axis=1), np.stack([zero, one], axis=1)
+    if group.kind is FactorKind.WALL_OFFSET:
+        lever = group.measured[:, 3]
+        by_pose = np.stack([sine, -cosine, -(x * cosine + y * sine + lever)], axis=1)
+        by_wall = np.stack([one, lever], axis=1)
+    scale = np.sqrt(weight / group.covariances[:, 0, 0])[:, None]
+    return _Observations(
+        keyframes, walls, weight * whitened / np.sqrt(WEIGHTED_VARIANCE), scale * by_pose, scale * by_wall
+    )
+
+
+def _covariances(slopes: Iterable[tuple[Integers, Floats]]) -> Floats:
+    """Return (k, d, d) the covariances of k variables by observations alone, all other variables being known.
+
+    slopes  rows (n,) of the variables and whitened slopes (n, d) by them, of kinds of observations
+
+    Without observations, a variable is known to a metre and a radian.
+    """
+    rows, by_variable = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
+    information = np.zeros((int(rows.max()) + 1, by_variable.shape[1], by_variable.shape[1]))
+    np.add.at(information, rows, by_variable[:, :, None] * by_variable[:, None, :])
+    return np.asarray(np.linalg.inv(information + np.eye(by_variable.shape[1])))
 
 
 def whitened_residuals(
@@ -85,7 +135,7 @@ def whitened_residuals(
     For `poses`, `frames` and `bias` see `divisors_of_information`.
     """
     observers, walls = _rows(poses, [f.first for f in factors]), _rows(frames, [f.second for f in factors])
-    seen = se2.between(observers, walls)
+    seen = se2.between(_sorted(poses)[observers], _sorted(frames)[walls])
     (group,) = by_kind(factors)
     measured = group.without_range_bias(bias)
     error = se2.between(measured[:, :3], seen).reshape(-1, 3)
@@ -93,20 +143,36 @@ def whitened_residuals(
     return np.asarray(residual / np.sqrt(group.covariances[:, 0, 0]))
 
 
-def _rows(poses: Mapping[int, se2.Pose], numbers: list[int]) -> Floats:
-    """Return the poses (n, 3) with some numbers (n,)."""
-    known = sorted(poses)
-    return np.array([poses[number] for number in known])[np.searchsorted(known, numbers)]
+def _sorted(poses: Mapping[int, se2.Pose]) -> Floats:
+    """Return all poses (k, 3) in the order of their numbers."""
+    return np.array([poses[number] for number in sorted(poses)])
 
 
-def _variances_of_walls(walls: np.ndarray[tuple[int], np.dtype[np.int64]], values: Floats) -> dict[int, float]:
-    """Return the long-run variance of each wall's values (n,), shrunk to that of all walls."""
-    sums = {int(wall): (long_run_sum(values[walls == wall]), int((walls == wall).sum())) for wall in np.unique(walls)}
-    common = sum(total for total, _ in sums.values()) / len(values)
-    return {
-        wall: (total + EQUAL_WEIGHT_COUNT * common) / (count + EQUAL_WEIGHT_COUNT)
-        for wall, (total, count) in sums.items()
-    }
+def _rows(poses: Mapping[int, se2.Pose], numbers: list[int]) -> Integers:
+    """Return the rows (n,) of the poses with some numbers in the order of all numbers."""
+    return np.searchsorted(sorted(poses), numbers)
+
+
+def _variances_of_walls(walls: Integers, values: Floats, unabsorbed: Floats, by_wall: Floats) -> Floats:
+    """Return (n,) the long-run variance of the errors of each observation's wall, shrunk to that of all walls.
+
+    walls       (n,) of the observations
+    values      (n,) weighted residuals
+    unabsorbed  (n,) share of the variance of an error that the pose leaves in the residual
+    by_wall     (n, 2) what the wall takes of each error beside, as H = B B' is subtracted from their covariance
+    """
+    order = np.argsort(walls, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(walls[order])) + 1)
+    sums = np.array([long_run_sum(values[group]) for group in groups])
+    # sums of residuals of white errors of variance one
+    expected = np.array(
+        [unabsorbed[group].sum() - sum(long_run_sum(column) for column in by_wall[group].T) for group in groups]
+    )
+    common = (sums.sum() + EQUAL_WEIGHT_COUNT) / (expected.sum() + EQUAL_WEIGHT_COUNT)  # one before observations
+    variances = (sums + EQUAL_WEIGHT_COUNT * common) / (expected + EQUAL_WEIGHT_COUNT)
+    result = np.empty(len(walls))
+    result[order] = np.repeat(variances, [len(group) for group in groups])
+    return result
 
 
 def long_run_sum(values: Floats) -> float:
