@@ -1,6 +1,7 @@
 """Sessions can be continued: after an interruption, from anywhere in the map, or with the map frozen."""
 
 import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -69,6 +70,14 @@ def mapped(first: list[Message], tmp_path_factory: pytest.TempPathFactory) -> tu
     return leave(slam, tmp_path_factory.mktemp("run") / "out"), finished
 
 
+@pytest.fixture(scope="module")
+def interrupted(first: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the directory of a run that was interrupted in the first drive."""
+    cut = first[0].stamp + INTERRUPTED
+    slam, _, _ = run([message for message in first if message.stamp < cut])
+    return leave(slam, tmp_path_factory.mktemp("interrupted") / "left")
+
+
 def error(finished: Finished, messages: Sequence[Message], like: Finished, first: Sequence[Message]) -> float:
     """Return the RMS distance from the true positions after aligning `like` with those of `first`."""
     there = aligned(like, first)
@@ -90,13 +99,11 @@ def at_truth(finished: Finished, messages: Sequence[Message]) -> tuple[np.ndarra
 
 
 def test_a_continued_run_equals_an_uninterrupted_one(
-    first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
+    first: list[Message], mapped: tuple[Path, Finished], interrupted: Path
 ) -> None:
     _, uninterrupted = mapped
     cut = first[0].stamp + INTERRUPTED
-    slam, _, _ = run([message for message in first if message.stamp < cut])
-    left = leave(slam, tmp_path / "left")
-    slam, finished, notices = run([message for message in first if message.stamp >= cut], left)
+    slam, finished, notices = run([message for message in first if message.stamp >= cut], interrupted)
     assert not notices
     np.testing.assert_array_equal(finished.stamps, uninterrupted.stamps)
     apart = np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T)
@@ -107,13 +114,13 @@ def test_a_continued_run_equals_an_uninterrupted_one(
 
 
 def test_a_run_of_an_earlier_version_continues(
-    first: list[Message], mapped: tuple[Path, Finished], tmp_path: Path
+    first: list[Message], mapped: tuple[Path, Finished], interrupted: Path, tmp_path: Path
 ) -> None:
     """It has not kept the stamps of the readings of odometry at the last fix and keyframe."""
     _, uninterrupted = mapped
     cut = first[0].stamp + INTERRUPTED
-    slam, _, _ = run([message for message in first if message.stamp < cut])
-    left = leave(slam, tmp_path / "left")
+    left = tmp_path / "left"
+    shutil.copytree(interrupted, left)
     header = left / SESSION / HEADER
     data = json.loads(header.read_text())
     remove_odometry_stamps(data["checkpoint"])
@@ -237,16 +244,14 @@ def started_again(messages: Sequence[Message], stamp: float) -> list[Message]:
     ]
 
 
-@pytest.mark.parametrize("pause", [5.0, 50.0])
+@pytest.mark.parametrize("pause", [5.0, pytest.param(50.0, marks=pytest.mark.slow)])
 def test_a_robot_that_stood_while_the_program_was_restarted_is_soon_placed_where_it_was(
-    first: list[Message], mapped: tuple[Path, Finished], pause: float, tmp_path: Path
+    first: list[Message], mapped: tuple[Path, Finished], interrupted: Path, pause: float
 ) -> None:
     """Odometry of devices counts from zero in each run of the program."""
     cut = first[0].stamp + INTERRUPTED
-    slam, _, _ = run([message for message in first if message.stamp < cut])
-    left = leave(slam, tmp_path / "left")
     second = started_again([message for message in first if message.stamp >= cut], cut + pause)
-    slam, finished, notices = run(second, left)
+    _, finished, notices = run(second, interrupted)
     assert notices == [RESTARTED, "the scans fit where the robot was expected in the map"]
     ((begin, end),) = finished.summary["lost"]
     assert end - begin < 3.0
