@@ -87,7 +87,7 @@ class OutputDirectory:
         self._own: int | None = None  # inode of the target if it is a saved state of this run
 
     def __enter__(self) -> Path:
-        self._check_target()
+        self.check()
         try:
             self._target.parent.mkdir(parents=True, exist_ok=True)
             self._work = WorkDirectory(self._target)
@@ -116,6 +116,26 @@ class OutputDirectory:
         if isinstance(error, OSError):
             raise OutputError(f"{self.path}: cannot be written: {error.strerror or error}") from error
 
+    def check(self) -> None:
+        """Raise OutputError if the target exists and must not be replaced, which entering does too."""
+        if not self._target.exists():
+            return
+        if not self._target.is_dir():
+            raise OutputError(f"{self.path}: is a file, not a directory")
+        try:
+            present = sorted(entry.name for entry in self._target.iterdir())
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be read: {error.strerror or error}") from error
+        if present and not self._overwrite and self._target.stat().st_ino != self._own:
+            raise OutputError(f"{self.path}: exists already; choose another directory or add --overwrite")
+        foreign = [
+            name
+            for name in present
+            if name not in RESULTS | DEMO_RESULTS | PLAN_RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)
+        ]
+        if foreign:
+            raise OutputError(f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten")
+
     def announce(self, change: Callable[[RunAnnouncement], RunAnnouncement]) -> None:
         """Change what this process announces to others, which `running_process` reads; may be called in any thread.
 
@@ -143,7 +163,7 @@ class OutputDirectory:
             write(work.saved)
             sync_directory(work.saved)
             size = directory_size(work.saved)
-            self._check_target()
+            self.check()
             self._replace_target(work)
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be saved: {error.strerror or error}") from error
@@ -183,26 +203,6 @@ class OutputDirectory:
             reason = f"{free:.0f} MB are free there, and {MIN_RESERVE / 1e6:.0f} MB are needed for the results"
             raise OutputError(f"{self.path}: {reason}") from error
 
-    def _check_target(self) -> None:
-        """Raise OutputError if the target exists and must not be replaced."""
-        if not self._target.exists():
-            return
-        if not self._target.is_dir():
-            raise OutputError(f"{self.path}: is a file, not a directory")
-        try:
-            present = sorted(entry.name for entry in self._target.iterdir())
-        except OSError as error:
-            raise OutputError(f"{self.path}: cannot be read: {error.strerror or error}") from error
-        if present and not self._overwrite and self._target.stat().st_ino != self._own:
-            raise OutputError(f"{self.path}: exists already; choose another directory or add --overwrite")
-        foreign = [
-            name
-            for name in present
-            if name not in RESULTS | DEMO_RESULTS | PLAN_RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)
-        ]
-        if foreign:
-            raise OutputError(f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten")
-
     def _replace_target(self, work: WorkDirectory) -> None:
         """Exchange the target with the saved state; keep the results of an earlier run.
 
@@ -238,7 +238,7 @@ class OutputDirectory:
         is killed or the power fails, one of the two is in place, complete.
         """
         try:
-            self._check_target()
+            self.check()
             sync_directory(work)
             exchange_directories(work, self._target)
             sync_file(self._target.parent)

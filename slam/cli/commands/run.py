@@ -46,6 +46,7 @@ def run(
 
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
+    from ...io.output_dir import OutputDirectory
     from ...io.recordings import absolute_recording, open_to_map
     from ...memory import return_freed_memory
     from ..plan_input import PlanOptions
@@ -54,6 +55,7 @@ def run(
     from ..run_summary import format_summary
     from ..slam_run import run_slam
 
+    OutputDirectory(out, overwrite).check()  # before the recording is read, which takes seconds
     start = prepare_run(
         continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())
     )

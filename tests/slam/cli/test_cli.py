@@ -206,10 +206,11 @@ def test_number_of_printed_warnings_is_limited(wclm: Any, fake_slam: Any) -> Non
     assert "6 more warnings" in result.stdout
 
 
-def test_existing_results_are_refused_before_mapping_and_replaced_with_overwrite(wclm: Any, fake_slam: Any) -> None:
+def test_existing_results_are_refused_before_reading_and_replaced_with_overwrite(wclm: Any, fake_slam: Any) -> None:
     assert wclm("run", SHORT, "--out", "out", "--no-review").exit_code == 0
     fake_slam.fails = AssertionError("mapping started")
     wclm.refuses("run", SHORT, "--out", "out", because=["out: exists already", "--overwrite"])
+    wclm.refuses("run", "absent.clf", "--out", "out", because=["out: exists already"])
     fake_slam.fails = None
     assert wclm("run", SHORT, "--out", "out", "--no-review", "--overwrite").exit_code == 0
 
