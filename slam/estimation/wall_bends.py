@@ -19,7 +19,7 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
-from ..graph.wall_bends import WallBends
+from ..graph.wall_bends import BendResponse, WallBends, bend_correlation
 from ..mapping.mapper import Mapper
 from ..matching.scan_points import LINE_DISTANCE, segments_of
 from ..preprocessing.preprocessor import ProcessedScan
@@ -87,17 +87,11 @@ def estimate_wall_bends(mapper: Mapper, scans: Sequence[ProcessedScan]) -> WallB
     """
     profiles = list(_profiles(mapper, scans))
     variance, length = _fit_process(profiles)
-    covariances = {}
+    responses = {}
     for profile in profiles:
         weighted = (profile.line * profile.seen.sum(axis=0)[:, None]).T
-        fit = np.linalg.solve(weighted @ profile.line, weighted)
-        covariances[profile.wall] = variance * fit @ _correlation(profile.distance, length) @ fit.T
-    return WallBends(float(np.sqrt(variance)), float(length), covariances)
-
-
-def _correlation(distance: Floats, length: float | Floats) -> Floats:
-    """Return the correlation of bends at places some metres apart."""
-    return np.asarray(np.exp(-0.5 * (distance / length) ** 2))
+        responses[profile.wall] = BendResponse(profile.place, np.linalg.solve(weighted @ profile.line, weighted))
+    return WallBends(float(np.sqrt(variance)), float(length), responses)
 
 
 def _fit_process(profiles: Sequence[_Profile]) -> tuple[float, float]:
@@ -137,7 +131,7 @@ def _products(profile: _Profile, views: Integers) -> tuple[Floats, Floats, Integ
     number of pairs (n, n).
     """
     line, seen = profile.line, profile.seen[views]
-    correlation = _correlation(profile.distance, LENGTHS[:, None, None])
+    correlation = bend_correlation(profile.distance, LENGTHS[:, None, None])
     deviations, operators = np.zeros(seen.shape), np.zeros((len(line), len(line)))
     within = np.zeros_like(correlation)
     for k, view in enumerate(views):

@@ -16,9 +16,8 @@ from drivers import se2
 from ...events import Finished
 from ...geometry.chi_square import chi_square_quantile
 from ...geometry.segments import Floats, Integers
+from ...graph.graph_estimate import GraphEstimate
 from ...io.tum import Trajectory
-from ...mapping.map_features import MapWalls
-from ...mapping.mapper import Mapper
 from ...offline.wall_alignment import MIN_COMMON, align_maps, numerical_jacobian, shared_points, wall_differences
 from ...pipeline import Slam
 from ..nees import GROSS
@@ -52,8 +51,11 @@ def compare_maps(first: tuple[Slam, Finished], second: tuple[Slam, Finished], pa
     if len(pairs) < MIN_COMMON:
         return None
     points = shared_points(map_1.walls, map_2.walls, pairs, motion)
-    covariance = _covariance(slam.slam_state.mapper, map_1.walls, pairs[:, 0], points[:, 0])
-    covariance += _covariance(other.slam_state.mapper, map_2.walls, pairs[:, 1], points[:, 1])
+    graphs = slam.slam_state.mapper.graph, other.slam_state.mapper.graph
+    walls = map_1.walls.identity[pairs[:, 0]], map_2.walls.identity[pairs[:, 1]]
+    covariance = _bends(graphs, walls, points)
+    for graph, own, along in zip(graphs, walls, points.T, strict=True):
+        covariance += _covariance(graph, own, along)
 
     def difference(change: Floats) -> Floats:
         return wall_differences(map_1.walls, map_2.walls, pairs, points, se2.compose(motion, change)).ravel()
@@ -76,9 +78,31 @@ def _judge(differences: Floats, jacobian: Floats, covariance: Floats) -> MapComp
     return MapComparison(count, nees, median, gross)
 
 
-def _covariance(mapper: Mapper, walls: MapWalls, rows: Integers, points: Floats) -> Floats:
-    """Return the joint covariance (2 n, 2 n) of offset and heading of walls, each `points` (n,) metres along it."""
-    joint = mapper.graph.wall_covariances([[int(walls.identity[row]) for row in rows]])[0]
+def _covariance(graph: GraphEstimate, walls: Integers, points: Floats) -> Floats:
+    """Return the joint covariance (2 n, 2 n) of offset and heading of walls (n,), as if they were straight.
+
+    points  (n,) metres along each wall from its frame, where the offset is that of its line
+    """
+    joint = graph.wall_covariances([walls.tolist()])[0] - graph.wall_bends.of_all(walls.tolist())
     lever = np.eye(len(joint))
     lever[np.arange(0, len(joint), 2), np.arange(1, len(joint), 2)] = points
     return np.asarray(lever @ joint @ lever.T)
+
+
+def _bends(graphs: tuple[GraphEstimate, GraphEstimate], walls: tuple[Integers, Integers], points: Floats) -> Floats:
+    """Return the joint covariance (2 n, 2 n) of the differences of walls that bends cause.
+
+    walls   (n,) of each map
+    points  (n, 2) metres along the walls of each pair
+
+    Both maps show the same bends of a wall, so lines differ only as far as other parts of the wall were seen.
+    """
+    bends = [graph.wall_bends for graph in graphs]
+    variance, length = 0.5 * sum(one.sigma**2 for one in bends), 0.5 * sum(one.length for one in bends)
+    joint = np.zeros((2 * len(points), 2 * len(points)))
+    for row, (pair, along) in enumerate(zip(zip(*walls, strict=True), points, strict=True)):
+        one, two = (own.responses.get(int(wall)) for own, wall in zip(bends, pair, strict=True))
+        if one is not None and two is not None:
+            difference = one.at(along[0]).without(two.at(along[1]))
+            joint[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = difference.covariance(variance, length)
+    return joint

@@ -5,7 +5,7 @@ import pytest
 
 from slam.estimation.wall_bends import estimate_wall_bends
 from slam.geometry.segments import CornerPoints, Floats, Segments
-from slam.graph.wall_bends import WallBends
+from slam.graph.wall_bends import BendResponse, WallBends
 from slam.mapping.keyframes import LandmarkIds
 from slam.mapping.mapper import Mapper
 from slam.matching.scan_features import ScanFeatures
@@ -61,7 +61,7 @@ def test_straight_walls_have_no_bends() -> None:
 def test_the_covariance_is_that_of_the_lines_fitted_to_bent_walls() -> None:
     random, sigma, drives = np.random.default_rng(3), 0.004, 200
     mapper, scans, _ = drive_past(20, sigma, random)
-    covariance = estimate_wall_bends(mapper, scans).covariances[19]
+    covariance = estimate_wall_bends(mapper, scans).of_walls([19])[0]
     squares = []
     for _ in range(drives):
         places, bends = drive_past(1, sigma, random)[2].T
@@ -73,8 +73,18 @@ def test_the_covariance_is_that_of_the_lines_fitted_to_bent_walls() -> None:
 
 
 def test_bends_of_two_walls_are_independent() -> None:
-    bends = WallBends(0.01, 0.5, {4: np.diag([4.0, 9.0])})
-    np.testing.assert_array_equal(bends.of_all([7, 4]), np.diag([0.0, 0.0, 4.0, 9.0]))
+    bends = WallBends(0.01, 0.5, {4: BendResponse(np.array([0.0, 5.0]), np.array([[2.0, 0.0], [0.0, 3.0]]))})
+    np.testing.assert_allclose(bends.of_all([7, 4]), 0.01**2 * np.diag([0.0, 0.0, 4.0, 9.0]), atol=1e-12)
+
+
+def test_lines_fitted_to_the_same_bends_differ_only_by_what_was_seen() -> None:
+    places, weights = np.array([0.5, 1.0, 1.5]), np.array([[0.2, 0.3, 0.5], [-1.0, 0.0, 1.0]])
+    response = BendResponse(places, weights)
+    same = BendResponse(places + 2.0, np.array([[1.0, -2.0], [0.0, 1.0]]) @ weights)  # from a frame 2 m back
+    np.testing.assert_allclose(response.at(0.7).without(same.at(2.7)).covariance(1.0, 0.5), 0.0, atol=1e-12)
+    far = BendResponse(places + 50.0, weights)
+    expected = response.covariance(1.0, 0.5) + far.covariance(1.0, 0.5)
+    np.testing.assert_allclose(response.without(far).covariance(1.0, 0.5), expected, atol=1e-12)
 
 
 def test_a_map_without_scans_has_no_bends() -> None:
