@@ -64,6 +64,8 @@ def divisors_of_information(
         rows = [row for row, factor in enumerate(factors) if factor.kind is kind]
         if rows:
             groups.append((rows, _observations([factors[row] for row in rows], poses, frames, bias)))
+    if not groups:
+        return result
     covariance_of_poses = _covariances((group.keyframes, group.by_pose) for _, group in groups)
     covariance_of_walls = _covariances((group.walls, group.by_wall) for _, group in groups)
     for rows, group in groups:
