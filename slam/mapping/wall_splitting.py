@@ -31,7 +31,6 @@ from .data_association import ASSOCIATION_GATE
 from .keyframes import LandmarkIds
 from .landmarks import Landmarks
 from .local_map import MAX_HEADING_DIFFERENCE, MAX_OFFSET
-from .unconfirmed_observations import CONFIRMING_KEYFRAMES
 from .wall_cells import WALL_CELL
 
 # Squared Mahalanobis distance between two stretches, with the poses held fixed, above which a wall is tried. Free poses
@@ -173,10 +172,7 @@ def _reassign_corners(landmarks: Landmarks, split: Split, new: int) -> None:
 
 
 def _stretches(landmarks: Landmarks, graph: FactorGraph, poses: Floats) -> list[list[Stretch]]:
-    """Return the stretches of each active wall, the one with the most observations first.
-
-    Stretches that too few keyframes observed are left out.
-    """
+    """Return the observed stretches of each active wall, the one with the most observations first."""
     rows = landmarks.walls.rows
     active = np.flatnonzero(landmarks.active())
     pieces_of = dict(zip(active.tolist(), landmarks.pieces_of_walls(active), strict=True))
@@ -195,11 +191,12 @@ def _stretches(landmarks: Landmarks, graph: FactorGraph, poses: Floats) -> list[
         stretches = []
         for k, (low, high) in enumerate(pieces):
             own = np.flatnonzero(piece == k)
+            if not len(own):
+                continue
             fitted, covariance = _fit(relative[own], [segments[i] for i in own], 0.5 * (low + high))
             frame = se2.compose(rows["frame"][wall], fitted)
             stretches.append(Stretch(wall, float(low), float(high), frame, [segments[i] for i in own], covariance))
-        confirmed = [s for s in stretches if len(s.keyframes) >= CONFIRMING_KEYFRAMES]
-        result.append(sorted(confirmed, key=lambda stretch: -len(stretch.segments)))
+        result.append(sorted(stretches, key=lambda stretch: -len(stretch.segments)))
     return result
 
 

@@ -17,8 +17,11 @@ STRETCHES = np.array([[1.0, 2.0, np.pi], [5.0, 2.0, np.pi]])
 """Frames of the two stretches, 2 m long each, with 2 m between them that nobody saw."""
 
 
-def map_with_gap(second: np.ndarray, seed: int, sigmas: np.ndarray = SIGMAS) -> Mapper:
-    """Return a solved map with one landmark for two stretches, and another wall; six keyframes see only one stretch."""
+def map_with_gap(second: np.ndarray, seed: int, sigmas: np.ndarray = SIGMAS, unseen: int = 6) -> Mapper:
+    """Return a solved map of 18 keyframes with one landmark for two stretches, and another wall.
+
+    unseen  number of keyframes that do not see the second stretch, before the others
+    """
     random = np.random.default_rng(seed)
     walls = np.array([STRETCHES[0], second, [-2.0, 0.0, -np.pi / 2]])
     mapper, pose = Mapper(), np.zeros(3)
@@ -27,7 +30,7 @@ def map_with_gap(second: np.ndarray, seed: int, sigmas: np.ndarray = SIGMAS) -> 
     reset_observations(mapper.landmarks)
     for keyframe in range(18):
         truth = np.array([0.3 * keyframe, 0.0, 0.0])
-        seen = [0, 2] if keyframe < 6 else [0, 1, 2]
+        seen = [0, 2] if keyframe < unseen else [0, 1, 2]
         noise = np.column_stack([np.zeros(len(seen)), random.normal(0, sigmas, (len(seen), 2))])
         frames = se2.compose(se2.between(truth, walls[seen]), noise)
         segments = Segments(frames, np.ones(len(seen)), np.tile(np.diag(sigmas**2), (len(seen), 1, 1)))
@@ -62,6 +65,15 @@ def test_stretches_that_are_two_surfaces_become_two_walls(offset: float, turn: f
     assert walls["high"][2] - walls["low"][2] == pytest.approx(2.0, abs=0.25)
     assert np.abs(mapper.keyframe_poses - before).max() < 0.2
     assert split_walls(mapper) == 0
+
+
+def test_a_surface_that_one_keyframe_saw_becomes_a_wall() -> None:
+    """Otherwise its extent would remain with the other surface, which is 5 cm off the line there."""
+    mapper = map_with_gap(se2.compose(STRETCHES[1], [0.0, 0.05, 0.0]), seed=1, unseen=17)
+    assert split_walls(mapper) == 1
+    walls = mapper.landmarks.walls.rows
+    assert walls["observations"].tolist() == [18, 18, 1]
+    assert walls["high"][0] - walls["low"][0] == pytest.approx(2.0, abs=0.25)
 
 
 def test_one_wall_is_rarely_split_by_noise() -> None:
