@@ -60,7 +60,7 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
     assert all(chosen.any() and not chosen[len(chosen) * 2 // 3 :].any() for chosen in known)
 
 
-@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (9020, 9029))])
+@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8717, 9029))])
 def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int, expectations: list[Expectation]) -> None:
     """Two thirds of what the lidar sees in the room fit a metre beside the right place, but not the long walls."""
     run = run_world("moved_furniture", seed, "half-circle")
@@ -73,7 +73,7 @@ def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int, expe
 @pytest.mark.slow
 def test_looks_at_moved_furniture_do_not_bend_the_map() -> None:
     """Four looks agree a metre beside the right place, and the next two with the drive as a whole."""
-    run = run_world("moved_furniture", 9006, "half-circle")
+    run = run_world("moved_furniture", 9027, "half-circle")
     assert run.joined
     assert [decision.reason for decision in run.accepted] == [
         "6 submap matches over 12 m agree, but 4 of 6 looks are at another place than the drive"
