@@ -76,7 +76,7 @@ def test_looks_at_moved_furniture_do_not_bend_the_map() -> None:
     run = run_world("moved_furniture", 9027, "half-circle")
     assert run.joined
     assert [decision.reason for decision in run.accepted] == [
-        "6 submap matches over 12 m agree, but 4 of 6 looks are at another place than the drive"
+        "6 submap matches over 13 m agree, but 4 of 6 looks are at another place than the drive"
     ]
 
 
