@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.compiled import compiled
 from drivers.immutable import immutable
@@ -56,10 +57,18 @@ class PathDistances:
 
     def near(self, keyframes: Integers | Sequence[int]) -> Integers:
         """Return the keyframes within MAX_PATH of some, along the drive and the links, in ascending order."""
+        return np.flatnonzero(self._to(keyframes) < MAX_PATH)
+
+    def are_nearer(self, keyframes: Integers | Sequence[int], others: Integers | Sequence[int]) -> NDArray[np.bool_]:
+        """Return (k,) which keyframes have a shorter path to one of some keyframes than to one of some others."""
+        return np.asarray(self._to(keyframes) < self._to(others))
+
+    def _to(self, keyframes: Integers | Sequence[int]) -> Floats:
+        """Return (k,) the path distance of each keyframe to the nearest one of some."""
         distance = np.full(len(self.driven), np.inf)
         distance[keyframes] = 0.0
         _shorten(distance, self.driven, self.links)
-        return np.flatnonzero(distance < MAX_PATH)
+        return distance
 
     def divide(self, keyframes: Integers | Sequence[int]) -> list[Integers]:
         """Divide keyframes, in ascending order, into groups between which no path is shorter than MAX_PATH.

@@ -5,6 +5,9 @@ counted at all other placements that were tried, where the mean of all cells cou
 lies on a wall at every placement is no evidence, nor is a door among equal doors. Long walls change more rarely than
 other things, so furniture that was moved together does not outweigh walls that do not fit.
 
+What fits is a cell of both maps. So is furniture that was moved: it is missing in one place, and new in another. But a
+wall hides what is behind it, so of two walls that do not coincide only the nearer one is missing: it counts twice.
+
 Equations, whose symbols the code uses: docs/mathematics.md#unknown-start.
 """
 
@@ -79,8 +82,9 @@ def evidence_of(fits: CellFits, chance: Floats) -> float:
     """Return the evidence (nats) of the known cells, given the `chance` (n,) of each cell to fit."""
     fit, chance, on_wall = fits.fit[fits.known], chance[fits.known], fits.on_wall[fits.known]
     changed = (1.0 - UNCHANGED_PROBABILITIES[:, None]) * np.where(on_wall, WALL_CHANGE_RATIO, 1.0)
-    right = _log_likelihoods(fit, _logit((1.0 - changed) * MAX_FIT + changed * chance))
-    alike = _log_likelihoods(fit, _logit(chance) + ALIKE_OFFSETS[:, None])
+    missing = (1.0 - fit) * np.where(on_wall, 2.0, 1.0)
+    right = _log_likelihoods(fit, missing, _logit((1.0 - changed) * MAX_FIT + changed * chance))
+    alike = _log_likelihoods(fit, missing, _logit(chance) + ALIKE_OFFSETS[:, None])
     return float(np.log(np.mean(np.exp(right - right.max()))) + right.max() - alike.max())
 
 
@@ -88,6 +92,6 @@ def _logit(probability: Floats) -> Floats:
     return np.asarray(np.log(probability / (1.0 - probability)))
 
 
-def _log_likelihoods(fit: Floats, logits: Floats) -> Floats:
-    """Return (k,) the log-likelihoods of cells that fit with `fit` (n,), for `logits` (k, n) of their probabilities."""
-    return np.asarray((fit * logits - np.logaddexp(0.0, logits)).sum(axis=1))
+def _log_likelihoods(fitting: Floats, missing: Floats, logits: Floats) -> Floats:
+    """Return (k,) the log-likelihoods of shares (n,) of cells that fit and that do not, for `logits` (k, n) to fit."""
+    return np.asarray(-(fitting * np.logaddexp(0.0, -logits) + missing * np.logaddexp(0.0, logits)).sum(axis=1))

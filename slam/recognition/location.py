@@ -58,9 +58,8 @@ STATED = Expectation(prior=0.95, error=0.001)
 # Of a robot that has lost its pose, and may have been carried out of the map. Origin: prior by definition, nothing is
 # known; error chosen, with 0.01 drives were put at the wrong one of two equal places.
 LOST = Expectation(prior=0.5, error=0.001)
-# Of a drive that looks at old places have recognised about where the estimate has it. Origin: as LOST, but looks have
-# compared what is mapped.
-RETURNED = Expectation(prior=0.5, error=0.001, fully_mapped=False)
+# Of a drive that looks at old places have recognised about where the estimate has it. Origin: as LOST.
+RETURNED = LOST
 # Likewise, at another place. Origin: error by definition, the square: a surface that both maps show is a cell of each.
 # So furniture that was moved together counts twice, and to follow it would bend the map.
 RECOGNISED = Expectation(prior=0.5, error=RETURNED.error**2)

@@ -8,6 +8,7 @@ place that the looks agree on; see `location`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,16 +18,16 @@ from drivers import se2
 
 from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
-from ..loop_closure.criteria import differ
-from ..loop_closure.decision import LoopDecision
+from ..loop_closure.criteria import MIN_SUPPORT, differ
+from ..loop_closure.decision import LoopDecision, LoopMatch
 from ..loop_closure.look import Look
 from ..loop_closure.loop_status import LoopStatus
-from ..loop_closure.submap_search import SUBMAP_LENGTH
+from ..loop_closure.submap_search import SUBMAP_LENGTH, are_distinct
 from ..loop_closure.submaps import Submaps
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
 from .drive_scans import DriveScans
-from .location import DOUBTED, RECOGNISED, RETURNED, Expectation, locate
+from .location import DOUBTED, RECOGNISED, RETURNED, Expectation, PlacedSubmap, locate
 from .placements import Uncertainty
 from .scanned_map import scan_keyframes
 
@@ -34,7 +35,9 @@ from .scanned_map import scan_keyframes
 def check_evidence(
     mapper: Mapper, local_field: LocalField, decision: LoopDecision, among: NDArray[np.bool_]
 ) -> LoopDecision:
-    """Return a loop that looks agree on, rejected if the evidence of the drive does not suffice for its place.
+    """Return a loop that looks agree on with the matches at the place where the drive as a whole fits.
+
+    It is rejected if the evidence of the drive does not suffice for its place, or if few matches are there.
 
     among  (k,) keyframes of the connected part of the map
     """
@@ -44,14 +47,36 @@ def check_evidence(
     reach = _distances(poses[first:], poses[first]).max() + look.uncertainty.search_radius(place) + FIELD_HALF_WIDTH
     travelled = np.asarray(mapper.travelled)
     old = among & (travelled < travelled[first] - SUBMAP_LENGTH) & (_distances(poses, look.pose) < reach)
+    places = [match.old for match in decision.matches]
+    old &= local_field.path_distances(mapper.travelled).are_nearer(places, [first])
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
     uncertainty = Uncertainty(look.uncertainty.covariance(place))
     location = locate(drive, known, _expected(look, decision), uncertainty)
-    if location.accepted and not differ(look, location.members[-1].motion, decision.correction):
-        return decision
-    where = "fits at another place" if location.accepted else "does not fit there"
+    there = _matches_at(location.members, look, decision.matches, poses)
+    elsewhere = f"{len(decision.matches) - len(there)} of {len(decision.matches)} looks"
+    if len(there) >= MIN_SUPPORT and there[-1] is decision.matches[-1]:
+        suffix = "" if len(there) == len(decision.matches) else f", but {elsewhere} are at another place than the drive"
+        return replace(decision, matches=there, reason=decision.reason + suffix)
+    where = f"fits at another place than {elsewhere}" if location.accepted else "does not fit there"
     reason = f"the drive as a whole {where}: {location.reason}"
     return replace(decision, status=LoopStatus.REJECTED, reason=reason)
+
+
+def _matches_at(
+    members: Sequence[PlacedSubmap], look: Look, matches: Sequence[LoopMatch], poses: Floats
+) -> tuple[LoopMatch, ...]:
+    """Return the matches that move their keyframes to the place where the drive as a whole was placed.
+
+    members  submaps of the drive that are certain of their place: the one nearest to a keyframe counts there
+    poses    (k, 3) of the keyframes
+    """
+    there = []
+    for match in matches if members else ():
+        nearest = min(members, key=lambda member: abs(member.keyframes[-1] - match.keyframe))
+        moved = (se2.compose(motion, poses[match.keyframe]) for motion in (nearest.motion, look.motion_of(match)))
+        if not are_distinct(*moved):
+            there.append(match)
+    return tuple(there)
 
 
 def _expected(look: Look, decision: LoopDecision) -> Expectation:

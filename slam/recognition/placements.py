@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -20,7 +21,15 @@ from ..geometry.pose_covariance import position_sigma, squared_distance
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..loop_closure.submap_search import are_distinct
-from ..matching.point_matcher import POINTS_PER_OBJECT, Prediction, match_from, match_points
+from ..matching.distance_field import DistanceField
+from ..matching.point_matcher import (
+    POINTS_PER_OBJECT,
+    PointMatch,
+    Prediction,
+    match_from,
+    match_points,
+    point_cost,
+)
 from .map_index import MAX_CANDIDATES, align_candidates
 from .scanned_map import DriveSubmap, ScannedDrive, ScannedMap
 from .submap_alignment import SUBMAP_HEADING_GATES, SUBMAP_OFFSET_GATES, align_submap, sample_walls
@@ -69,16 +78,20 @@ class Placement:
     """Placement of n submaps in another map.
 
     poses         (n, 3) of their last keyframes in the other map
-    informations  (n, 3, 3) of these poses from the points of each submap alone, in their own frames
+    informations  (n, 3, 3) of these poses from the points of each submap alone, in their own frames; zero for a submap
+                  that is only predicted, as its points fit elsewhere
     """
 
     poses: Floats
     informations: Floats
 
-    def differs(self, other: Placement) -> list[int]:
-        """Return the submaps that another placement has at a different place."""
-        pairs = enumerate(zip(self.poses, other.poses, strict=True))
-        return [submap for submap, (pose, rival) in pairs if are_distinct(pose, rival)]
+    def has_matched(self, submap: int, pose: se2.Pose) -> bool:
+        """Return True if the points of a submap determine its pose here, at the same place as another pose."""
+        return bool(self.informations[submap].any()) and not are_distinct(self.poses[submap], pose)
+
+    def differs(self, other: Placement) -> bool:
+        """Return True if another placement has some submap at a different place."""
+        return any(are_distinct(pose, rival) for pose, rival in zip(self.poses, other.poses, strict=True))
 
 
 def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> list[Placement]:
@@ -90,14 +103,21 @@ def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
     placements: list[Placement] = []
     random = () if near is None else _random_candidates(new, near)
     for submap, pose in chain(_candidates(new, old, near), random):
-        if any(not are_distinct(placement.poses[submap], pose) for placement in placements):
+        if any(placement.has_matched(submap, pose) for placement in placements):
             continue
         placement = _refine(new, old, submap, pose)
-        if all(placement.differs(other) for other in placements):
-            placements.append(placement)
+        others = [other for other in placements if placement.differs(other)]
+        same = [other for other in placements if not placement.differs(other)]
+        placements = [*others, min([*same, placement], key=lambda one: _cost(new, old, one))]
         if len(placements) == MAX_CANDIDATES:
             break
     return placements
+
+
+def _cost(new: ScannedDrive, old: ScannedMap, placement: Placement) -> float:
+    """Return the cost of the points of all submaps in a placement."""
+    pairs = zip(new.submaps, placement.poses, strict=True)
+    return sum(point_cost(old.field, submap.points.points, pose)[0] for submap, pose in pairs)
 
 
 def _random_candidates(new: ScannedDrive, near: Uncertainty) -> Iterator[tuple[int, se2.Pose]]:
@@ -134,7 +154,7 @@ def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> P
         if row == first:
             match = match_from(old.field, points, pose, prediction)
         else:
-            match = match_points(old.field, points, [prediction], exhaustive=True)[0]
+            match = _match_within(old.field, points, prediction)
         poses[row], informations[row] = match.pose, match.information / POINTS_PER_OBJECT
         refined = np.linalg.inv(informations[row] + prediction.information)
         placed.add(row)
@@ -147,6 +167,18 @@ def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> P
             if other not in predicted or position_sigma(covariance) < position_sigma(predicted[other][1]):
                 predicted[other] = se2.compose(match.pose, relative), covariance
     return Placement(poses, informations)
+
+
+def _match_within(field: DistanceField, points: Floats, prediction: Prediction) -> PointMatch:
+    """Return the match of a submap's points (p, 6), or its prediction, without information, if that excludes the match.
+
+    What was moved, or only looks alike, fits best beside its place. A prediction of a scan match has a wide tail, as
+    wheels may slip; the submaps of a map have been matched with each other.
+    """
+    match = match_points(field, points, [prediction], exhaustive=True)[0]
+    if prediction.squared_distance(match.pose) < MAX_SQUARED_DISTANCE:
+        return match
+    return replace(match, pose=prediction.pose, information=np.zeros((3, 3)))
 
 
 def matched_walls(new: ScannedDrive, old: ScannedMap, submap: int, pose: se2.Pose) -> Integers:

@@ -25,6 +25,12 @@ def test_keyframes_are_near_along_the_drive_and_links() -> None:
     assert set(path_distances(200).near([0, 199]).tolist()) == {*range(40), *range(160, 200)}
 
 
+def test_keyframes_belong_to_the_nearer_end_of_the_drive_except_through_links() -> None:
+    assert path_distances(200).are_nearer([20], [120]).tolist() == [k < 70 for k in range(200)]
+    linked = path_distances(200, [(20, 90)]).are_nearer([20], [120])
+    assert linked.tolist() == [k < 105 for k in range(200)]
+
+
 def test_what_is_undetermined_of_the_drive_counts_as_a_longer_way() -> None:
     assert path_distances(200, gaps={120: MAX_PATH}).near([100]).tolist() == list(range(61, 120))
     assert path_distances(200, gaps={120: 0.5 * MAX_PATH}).near([100]).tolist() == list(range(61, 120))

@@ -18,9 +18,6 @@ from slam.loop_closure.loop_status import LoopStatus
 
 from ..simulated_worlds import limit_drives
 
-FIVE_LOOKS_AGREE = pytest.mark.xfail(strict=True, reason="five looks over 11 m agree with the office beside")
-"""A wrong closure that is accepted; odometry is off by about the distance between the offices."""
-
 
 def drive_round(world: str, seed: int, duration: float) -> tuple[Slam, Finished, float, list[LoopDecided]]:
     """Return the run of a drive, its results, the error (metres) of its end, and the decisions on loops."""
@@ -53,18 +50,13 @@ def test_a_loop_at_the_end_of_a_drive_stays_open_if_its_place_is_ambiguous() -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("variant", "seed", "duration"),
-    [
-        ("standard", 51, 162.64),
-        pytest.param("half-circle", 8968, 165.36, marks=FIVE_LOOKS_AGREE),
-    ],
-)
+@pytest.mark.parametrize(("variant", "seed", "duration"), [("standard", 51, 162.64), ("half-circle", 8968, 165.36)])
 def test_no_loop_is_closed_between_equal_offices(
     variant: str, seed: int, duration: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The evidence is for offices that look alike, 4.5 metres beside the right ones: looks extend over less than the
-    uncertainty of the position, or the right place is a rival.
+    uncertainty of the position, the right place is a rival, or the estimate itself is at the office beside, and
+    much of what the drive shows is not mapped.
     """
     limit_drives(monkeypatch, duration)
     run = run_world("equal_offices", seed, variant)

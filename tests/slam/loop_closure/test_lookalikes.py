@@ -104,16 +104,24 @@ def test_no_wrong_closure_is_accepted_between_similar_places(seed: int, monkeypa
     assert not result.wrong
 
 
+def _moved(mapper: Mapper, decision: LoopDecision, motion: se2.Pose) -> LoopDecision:
+    """Return a decision whose looks agree on a place that is moved in the map."""
+    poses = mapper.keyframe_poses
+    matches = tuple(
+        replace(m, relative=se2.between(poses[m.old], se2.compose(motion, se2.compose(poses[m.old], m.relative))))
+        for m in decision.matches
+    )
+    return replace(decision, correction=se2.compose(motion, decision.correction), matches=matches)
+
+
 @pytest.mark.slow
 def test_the_evidence_of_a_drive_rejects_the_next_door(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looks find one of equal doors, 3 m apart. Had they agreed on the next one, the loop would not be closed."""
     decisions: list[tuple[LoopDecision, LoopDecision, LoopDecision]] = []
 
     def compared(mapper: Mapper, field: LocalField, decision: LoopDecision, among: NDArray[np.bool_]) -> LoopDecision:
-        at_next_doors = (
-            replace(decision, correction=se2.compose(np.array([along, 0.0, 0.0]), decision.correction))
-            for along in (-3.0, 3.0)  # the corridor is along x of the map
-        )
+        # The corridor is along x of the map.
+        at_next_doors = (_moved(mapper, decision, np.array([along, 0.0, 0.0])) for along in (-3.0, 3.0))
         before, behind = (check_evidence(mapper, field, other, among) for other in at_next_doors)
         found = check_evidence(mapper, field, decision, among)
         decisions.append((before, found, behind))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from slam.recognition import evidence
 from slam.recognition.evidence import CellFits, chances_of_fit, evidence_of
 from slam.recognition.location import RECOGNISED
 
@@ -72,11 +73,20 @@ def test_what_has_changed_fits_by_chance() -> None:
     assert evidence_of(fits_of(fit.tolist()), chance) > evidence_of(fits_of(fit[60:].tolist()), chance[60:]) - 0.5
 
 
+def test_a_wall_that_is_missing_counts_for_the_one_that_it_hides(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(evidence, "UNCHANGED_PROBABILITIES", np.ones(1))
+    monkeypatch.setattr(evidence, "ALIKE_OFFSETS", np.zeros(1))
+    missing = np.log((1.0 - evidence.MAX_FIT) / 0.5)
+    for walls, count in ((0, 3.0), (1, 4.0), (3, 6.0)):
+        assert evidence_of(fits_of([0.0] * 3, walls=walls), np.full(3, 0.5)) == pytest.approx(count * missing)
+    assert evidence_of(fits_of([1.0], walls=1), np.full(1, 0.5)) == pytest.approx(np.log(evidence.MAX_FIT / 0.5))
+
+
 def test_furniture_that_was_moved_together_is_less_evidence_than_the_walls_that_stayed() -> None:
     """Forty cells of furniture fit beside the right place, and ten of walls fit at it."""
     chance, moved, right = np.full(50, 0.4), [1.0] * 40 + [0.0] * 10, [0.0] * 40 + [1.0] * 10
     assert evidence_of(fits_of(moved), chance) > RECOGNISED.required
-    assert evidence_of(fits_of(moved, walls=10), chance) < RECOGNISED.required - 4.0
+    assert evidence_of(fits_of(moved, walls=10), chance) < RECOGNISED.required - 8.0
     assert evidence_of(fits_of(right, walls=10), chance) > evidence_of(fits_of(right), chance)
 
 

