@@ -22,7 +22,7 @@ from drivers import se2
 
 from ..errors import MapError, first_line
 from ..geometry.segments import Floats
-from .factors import MATCH_KINDS, Factor, FactorKind
+from .factors import MATCH_KINDS, OBSERVATION_KINDS, Factor, FactorKind
 from .graph_estimate import GraphEstimate
 from .gtsam_factors import from_pose2, to_gtsam_graph, to_pose2
 from .wall_segments import WallSegment
@@ -266,8 +266,7 @@ class FactorGraph(GraphEstimate):
 
     def remove_wall_observations(self, since: Mapping[int, int]) -> None:
         """Remove the observations of each of some misassociated walls by keyframes from `since[wall]` on."""
-        kinds = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
-        self._remove_if(lambda f: f.kind in kinds and f.second in since and f.first >= since[f.second])
+        self._remove_if(lambda f: f.kind in OBSERVATION_KINDS and f.second in since and f.first >= since[f.second])
 
     def _remove_if(self, condition: Callable[[Factor], bool]) -> None:
         """Remove the factors that satisfy a condition."""

@@ -81,10 +81,11 @@ CAUCHY_SCALES = {
 
 # Bits of a key for the number of its variable; above them is its character. Origin: definition, of GTSAM.
 KEY_INDEX_BITS = 56
+# Kinds of the factors of a wall's observation. Origin: definition.
+OBSERVATION_KINDS = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
 # Kinds that measure a wall's frame only in some directions.
 WALL_KINDS = (
-    FactorKind.WALL_HEADING,
-    FactorKind.WALL_OFFSET,
+    *OBSERVATION_KINDS,
     FactorKind.GAUGE_PRIOR,
     FactorKind.WALL_EQUALITY,
     FactorKind.PLAN_WALL,

@@ -16,7 +16,7 @@ from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
 from .factor_graph import GAUGE_PRIOR_SIGMA, FactorGraph
-from .factors import Factor, FactorKind, GraphState, walls_of
+from .factors import OBSERVATION_KINDS, Factor, FactorKind, GraphState, walls_of
 from .graph_storage import graph_state, restore_graph
 
 
@@ -138,7 +138,7 @@ def _gauge_prior(keyframe: int, wall: int, predicted: se2.Pose) -> Factor:
 
 def _of_copy(factor: Factor, walls: Mapping[tuple[int, int], int], corners: Mapping[tuple[int, int], int]) -> Factor:
     """Return an observation of a landmark as one of its copy, if it is by a keyframe that observes the copy."""
-    if factor.kind in (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET):
+    if factor.kind in OBSERVATION_KINDS:
         return replace(factor, second=walls.get((factor.first, factor.second), factor.second))
     if factor.kind is FactorKind.CORNER:
         return replace(factor, second=corners.get((factor.first, factor.second), factor.second))

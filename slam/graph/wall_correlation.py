@@ -21,7 +21,7 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
-from .factors import WALL_CAUCHY_SCALE, Factor, FactorKind, by_kind
+from .factors import OBSERVATION_KINDS, WALL_CAUCHY_SCALE, Factor, FactorKind, by_kind
 
 # Keyframes over which the errors of one wall are taken as correlated. Origin: chosen, some 5 m of driving, after which
 # another part of the wall is seen; the residuals of recordings are white beyond it.
@@ -33,8 +33,6 @@ EQUAL_WEIGHT_COUNT = 4.0 / 3.0 * (MAX_LAG + 1)
 # Variance of a standard normal variable times its robust weight 1 / (1 + z^2 / 8).
 # Origin: chi-square, 1 dof, integrated with WALL_CAUCHY_SCALE.
 WEIGHTED_VARIANCE = 0.593
-# Kinds of factors of a wall's observation. Origin: definition.
-OBSERVATION_KINDS = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
 
 
 def with_correlated_errors(factors: Sequence[Factor], divisors: Floats) -> list[Factor]:

@@ -10,7 +10,7 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats
-from .factors import Factor, FactorKind
+from .factors import OBSERVATION_KINDS, Factor
 
 
 @immutable
@@ -40,9 +40,10 @@ def wall_segments(factors: Mapping[int, Factor], walls: Container[int]) -> list[
 
     Inverts `FactorGraph.add_wall_observation`, which adds the factor of the offset right after that of the heading.
     """
-    kinds = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
     numbers = [
-        number for number in sorted(factors) if factors[number].kind in kinds and factors[number].second in walls
+        number
+        for number in sorted(factors)
+        if factors[number].kind in OBSERVATION_KINDS and factors[number].second in walls
     ]
     count: dict[tuple[int, int], int] = {}
     segments = []

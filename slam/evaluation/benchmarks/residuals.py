@@ -23,7 +23,7 @@ from ...config import Config
 from ...errors import MapError
 from ...events import Finished
 from ...geometry.segments import Floats
-from ...graph.factors import FactorKind
+from ...graph.factors import OBSERVATION_KINDS, FactorKind
 from ...graph.wall_correlation import MAX_LAG, whitened_residuals
 from ...io.tum import Trajectory
 from ...mapping.mapper import Mapper
@@ -65,7 +65,7 @@ def examine(name: str, messages: Sequence[Message], config: Config) -> Recording
     """Map a recording and its two halves. Raises MapError if the recording gives no map."""
     slam, finished = _map(messages, config)
     residuals = wall_residuals(slam.slam_state.mapper)
-    statistics = {kind: residual_statistics(list(residuals[kind].values())) for kind in KINDS}
+    statistics = {kind: residual_statistics(list(residuals[kind].values())) for kind in OBSERVATION_KINDS}
     path = Trajectory.sorted(finished.stamps, finished.poses)
     try:
         first, second = (_map(half, config) for half in split_halves(messages))
@@ -86,18 +86,16 @@ def _map(messages: Sequence[Message], config: Config) -> tuple[Slam, Finished]:
 
 # --- Residuals
 
-KINDS = (FactorKind.WALL_HEADING, FactorKind.WALL_OFFSET)
-
 
 def wall_residuals(mapper: Mapper) -> dict[FactorKind, dict[int, Floats]]:
-    """Return the whitened residuals (n,) of each wall by its id, in the order of the keyframes, for both KINDS.
+    """Return the whitened residuals (n,) of each wall by its id, in the order of the keyframes, for each kind.
 
     Observations are those without the range bias that was estimated with the map.
     """
     solver = mapper.graph.solver
     poses = dict(enumerate(mapper.graph.keyframe_poses(mapper.keyframe_count)))
     found: dict[FactorKind, dict[int, Floats]] = {}
-    for kind in KINDS:
+    for kind in OBSERVATION_KINDS:
         factors = [factor for factor in solver.factors.values() if factor.kind is kind]
         factors.sort(key=lambda factor: factor.first)
         of_wall = np.array([factor.second for factor in factors], dtype=np.int64)
