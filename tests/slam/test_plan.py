@@ -34,8 +34,8 @@ from .simulated_worlds import furnished_room
 FEW_BEAMS = LidarModel(beams=360, rate=5.0)
 SIGMAS = (0.03, np.radians(0.3))
 SHIFT, WING = 0.45, 11.0
-"""Metres by which the wing east of some x is elsewhere in the wrong plan, to the north and to the east: walls are paired
-up to half a metre, and those at the limit by chance."""
+"""Metres by which the wing east of some x is elsewhere in the wrong plan, to the north and to the east: walls are
+paired up to half a metre, and those at the limit by chance."""
 WRONG = 0.3
 """Metres by which a wall of the southern corridor is too far north in the wrong plan."""
 START = np.array([5.2, 5.0, 0.0])
