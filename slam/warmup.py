@@ -211,7 +211,7 @@ def _recognise(state: SlamState) -> None:
     index, points = index_map(mapper), state.local_field.points_of(rows)
     known, drive = scan_map(index, mapper.keyframe_poses, points), DriveScans().take(mapper, state.local_field, 0)
     locate(drive, known, LOST)
-    alone = Placement(np.array([submap.pose for submap in drive.submaps]), np.zeros((len(drive.submaps), 3, 3)))
+    alone = Placement(np.array([submap.pose for submap in drive.submaps]), np.zeros((len(drive.submaps), 3, 3)), 0.0)
     compare_cells(drive, known, alone)
 
 

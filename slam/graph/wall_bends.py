@@ -31,7 +31,7 @@ class BendResponse:
         """Return the response at a point of the line, metres along it from its frame, which is the new origin."""
         return BendResponse(self.places - point, np.array([[1.0, point], [0.0, 1.0]]) @ self.weights)
 
-    def without(self, other: BendResponse) -> BendResponse:
+    def minus(self, other: BendResponse) -> BendResponse:
         """Return the response of the difference to another line that is fitted to the same surface."""
         return BendResponse(
             np.concatenate([self.places, other.places]), np.concatenate([self.weights, -other.weights], axis=1)

@@ -6,7 +6,7 @@ the long-run variance of their whitened errors in the order of the keyframes (Ne
 noise as modelled. Only residuals are known: poses and walls were estimated from the same observations and have absorbed
 a part of the errors, about half of the offsets in recordings. So the sum of the products of residuals is divided by
 what it would be for white errors. Residuals are weighted by the robust kernel, as they are in the estimate, and divided
-by what this leaves of white noise.
+by what that leaves of white noise.
 
 Equations: docs/mathematics.md#errors-that-repeat.
 """
@@ -21,7 +21,7 @@ from drivers import se2
 from drivers.immutable import immutable
 
 from ..geometry.segments import Floats, Integers
-from .factors import OBSERVATION_KINDS, WALL_CAUCHY_SCALE, Factor, FactorKind, by_kind
+from .factors import OBSERVATION_KINDS, WALL_CAUCHY_SCALE, Factor, FactorKind, FactorsOfKind, by_kind
 
 # Keyframes over which the errors of one wall are taken as correlated. Origin: chosen, some 5 m of driving, after which
 # another part of the wall is seen; the residuals of recordings are white beyond it.
@@ -64,14 +64,15 @@ def divisors_of_information(
             groups.append((rows, _observations([factors[row] for row in rows], poses, frames, bias)))
     if not groups:
         return result
-    covariance_of_poses = _covariances((group.keyframes, group.by_pose) for _, group in groups)
-    covariance_of_walls = _covariances((group.walls, group.by_wall) for _, group in groups)
+    covariance_of_poses = _covariances((group.keyframes, group.pose_jacobian) for _, group in groups)
+    covariance_of_walls = _covariances((group.walls, group.wall_jacobian) for _, group in groups)
     for rows, group in groups:
-        leverage = np.einsum("ni,nij,nj->n", group.by_pose, covariance_of_poses[group.keyframes], group.by_pose)
-        unabsorbed = np.maximum(0.0, 1.0 - leverage)
+        pose_covariances = covariance_of_poses[group.keyframes]
+        leverage = np.einsum("ni,nij,nj->n", group.pose_jacobian, pose_covariances, group.pose_jacobian)
+        variances = np.maximum(0.0, 1.0 - leverage)
         roots = np.linalg.cholesky(covariance_of_walls)[group.walls]
-        by_wall = np.sqrt(unabsorbed)[:, None] * np.einsum("ni,nij->nj", group.by_wall, roots)
-        result[rows] = np.maximum(1.0, _variances_of_walls(group.walls, group.values, unabsorbed, by_wall))
+        hat_roots = np.sqrt(variances)[:, None] * np.einsum("ni,nij->nj", group.wall_jacobian, roots)
+        result[rows] = np.maximum(1.0, _variances_of_walls(group.walls, group.values, variances, hat_roots))
     return result
 
 
@@ -81,16 +82,16 @@ class _Observations:
 
     keyframes, walls  (n,) rows of the poses and of the walls
     values   (n,) whitened residuals times their robust weights; their errors have variance one as modelled
-    by_pose  (n, 3) slopes of the whitened residuals by the pose of the keyframe, in its own frame, times the roots of
-             the robust weights
-    by_wall  (n, 2) the same by offset and heading of the wall, in its own frame
+    pose_jacobian  (n, 3) of the whitened residuals by the pose of the keyframe, in its own frame, times the roots of
+                   the robust weights
+    wall_jacobian  (n, 2) the same by offset and heading of the wall, in its own frame
     """
 
     keyframes: Integers
     walls: Integers
     values: Floats
-    by_pose: Floats
-    by_wall: Floats
+    pose_jacobian: Floats
+    wall_jacobian: Floats
 
 
 def _observations(
@@ -100,31 +101,30 @@ def _observations(
     whitened = whitened_residuals(factors, poses, frames, bias)
     weight = 1.0 / (1.0 + (whitened / WALL_CAUCHY_SCALE) ** 2)
     (group,) = by_kind(factors)
-    keyframes, walls = _rows(poses, [f.first for f in factors]), _rows(frames, [f.second for f in factors])
-    x, y, heading = se2.between(_sorted(poses)[keyframes], _sorted(frames)[walls]).reshape(-1, 3).T
+    keyframes, walls = (_rows(known, numbers) for known, numbers in zip((poses, frames), group.numbers.T, strict=True))
+    x, y, heading = _seen(group, poses, frames).T
     sine, cosine, zero, one = np.sin(heading), np.cos(heading), np.zeros_like(x), np.ones_like(x)
-    by_pose, by_wall = np.stack([zero, zero, -one], axis=1), np.stack([zero, one], axis=1)
+    pose_jacobian, wall_jacobian = np.stack([zero, zero, -one], axis=1), np.stack([zero, one], axis=1)
     if group.kind is FactorKind.WALL_OFFSET:
         lever = group.measured[:, 3]
-        by_pose = np.stack([sine, -cosine, -(x * cosine + y * sine + lever)], axis=1)
-        by_wall = np.stack([one, lever], axis=1)
+        pose_jacobian = np.stack([sine, -cosine, -(x * cosine + y * sine + lever)], axis=1)
+        wall_jacobian = np.stack([one, lever], axis=1)
     scale = np.sqrt(weight / group.covariances[:, 0, 0])[:, None]
-    return _Observations(
-        keyframes, walls, weight * whitened / np.sqrt(WEIGHTED_VARIANCE), scale * by_pose, scale * by_wall
-    )
+    values = weight * whitened / np.sqrt(WEIGHTED_VARIANCE)
+    return _Observations(keyframes, walls, values, scale * pose_jacobian, scale * wall_jacobian)
 
 
-def _covariances(slopes: Iterable[tuple[Integers, Floats]]) -> Floats:
+def _covariances(jacobians: Iterable[tuple[Integers, Floats]]) -> Floats:
     """Return (k, d, d) the covariances of k variables by observations alone, all other variables being known.
 
-    slopes  rows (n,) of the variables and whitened slopes (n, d) by them, of kinds of observations
+    jacobians  for each kind of observation, rows (n,) of the variables and Jacobian (n, d) of the whitened residuals
 
     Without observations, a variable is known to a metre and a radian.
     """
-    rows, by_variable = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
-    information = np.zeros((int(rows.max()) + 1, by_variable.shape[1], by_variable.shape[1]))
-    np.add.at(information, rows, by_variable[:, :, None] * by_variable[:, None, :])
-    return np.asarray(np.linalg.inv(information + np.eye(by_variable.shape[1])))
+    rows, jacobian = (np.concatenate(parts) for parts in zip(*jacobians, strict=True))
+    information = np.zeros((int(rows.max()) + 1, jacobian.shape[1], jacobian.shape[1]))
+    np.add.at(information, rows, jacobian[:, :, None] * jacobian[:, None, :])
+    return np.asarray(np.linalg.inv(information + np.eye(jacobian.shape[1])))
 
 
 def whitened_residuals(
@@ -134,44 +134,46 @@ def whitened_residuals(
 
     For `poses`, `frames` and `bias` see `divisors_of_information`.
     """
-    observers, walls = _rows(poses, [f.first for f in factors]), _rows(frames, [f.second for f in factors])
-    seen = se2.between(_sorted(poses)[observers], _sorted(frames)[walls])
     (group,) = by_kind(factors)
     measured = group.without_range_bias(bias)
-    error = se2.between(measured[:, :3], seen).reshape(-1, 3)
+    error = se2.between(measured[:, :3], _seen(group, poses, frames)).reshape(-1, 3)
     residual = error[:, 2] if measured.shape[1] == 3 else error[:, 1] + measured[:, 3] * error[:, 2]
     return np.asarray(residual / np.sqrt(group.covariances[:, 0, 0]))
 
 
-def _sorted(poses: Mapping[int, se2.Pose]) -> Floats:
-    """Return all poses (k, 3) in the order of their numbers."""
-    return np.array([poses[number] for number in sorted(poses)])
+def _seen(group: FactorsOfKind, poses: Mapping[int, se2.Pose], frames: Mapping[int, se2.Pose]) -> Floats:
+    """Return the frames (n, 3) of the walls of n observations in those of the keyframes."""
+    observers, walls = (
+        np.array([known[number] for number in sorted(known)])[_rows(known, numbers)]
+        for known, numbers in zip((poses, frames), group.numbers.T, strict=True)
+    )
+    return np.asarray(se2.between(observers, walls)).reshape(-1, 3)
 
 
-def _rows(poses: Mapping[int, se2.Pose], numbers: list[int]) -> Integers:
+def _rows(poses: Mapping[int, se2.Pose], numbers: Integers) -> Integers:
     """Return the rows (n,) of the poses with some numbers in the order of all numbers."""
     return np.searchsorted(sorted(poses), numbers)
 
 
-def _variances_of_walls(walls: Integers, values: Floats, unabsorbed: Floats, by_wall: Floats) -> Floats:
+def _variances_of_walls(walls: Integers, values: Floats, variances: Floats, hat_roots: Floats) -> Floats:
     """Return (n,) the long-run variance of the errors of each observation's wall, shrunk to that of all walls.
 
-    walls       (n,) of the observations
-    values      (n,) weighted residuals
-    unabsorbed  (n,) share of the variance of an error that the pose leaves in the residual
-    by_wall     (n, 2) what the wall takes of each error beside, as H = B B' is subtracted from their covariance
+    walls      (n,) of the observations
+    values     (n,) weighted residuals
+    variances  (n,) of residuals of white errors, if only the poses were estimated: one minus the leverage
+    hat_roots  (n, 2) rows of B: estimating the walls, too, subtracts the hat matrix B B' of each wall
     """
     order = np.argsort(walls, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(walls[order])) + 1)
     sums = np.array([long_run_sum(values[group]) for group in groups])
     # sums of residuals of white errors of variance one
     expected = np.array(
-        [unabsorbed[group].sum() - sum(long_run_sum(column) for column in by_wall[group].T) for group in groups]
+        [variances[group].sum() - sum(long_run_sum(column) for column in hat_roots[group].T) for group in groups]
     )
     common = (sums.sum() + EQUAL_WEIGHT_COUNT) / (expected.sum() + EQUAL_WEIGHT_COUNT)  # one before observations
-    variances = (sums + EQUAL_WEIGHT_COUNT * common) / (expected + EQUAL_WEIGHT_COUNT)
+    long_run = (sums + EQUAL_WEIGHT_COUNT * common) / (expected + EQUAL_WEIGHT_COUNT)
     result = np.empty(len(walls))
-    result[order] = np.repeat(variances, [len(group) for group in groups])
+    result[order] = np.repeat(long_run, [len(group) for group in groups])
     return result
 
 

@@ -5,8 +5,9 @@ counted at all other placements that were tried, where the mean of all cells cou
 lies on a wall at every placement is no evidence, nor is a door among equal doors. Long walls change more rarely than
 other things, so furniture that was moved together does not outweigh walls that do not fit.
 
-What fits is a cell of both maps. So is furniture that was moved: it is missing in one place, and new in another. But a
-wall hides what is behind it, so of two walls that do not coincide only the nearer one is missing: it counts twice.
+A surface that fits is a cell of both maps, so it counts twice. An object that was moved counts twice as well, as it is
+missing at one place and new at another. Of two walls that do not coincide, the nearer one hides the other: only one
+cell does not fit, so it is counted twice.
 
 Equations, whose symbols the code uses: docs/mathematics.md#unknown-start.
 """

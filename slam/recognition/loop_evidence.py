@@ -35,7 +35,7 @@ from .scanned_map import scan_keyframes
 def check_evidence(
     mapper: Mapper, local_field: LocalField, decision: LoopDecision, among: NDArray[np.bool_]
 ) -> LoopDecision:
-    """Return a loop that looks agree on with the matches at the place where the drive as a whole fits.
+    """Return a loop that looks agree on, with only those matches that lead to where the drive as a whole fits.
 
     It is rejected if the evidence of the drive does not suffice for its place, or if few matches are there.
 

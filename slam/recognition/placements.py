@@ -80,10 +80,12 @@ class Placement:
     poses         (n, 3) of their last keyframes in the other map
     informations  (n, 3, 3) of these poses from the points of each submap alone, in their own frames; zero for a submap
                   that is only predicted, as its points fit elsewhere
+    cost          of the points of all submaps
     """
 
     poses: Floats
     informations: Floats
+    cost: float
 
     def has_matched(self, submap: int, pose: se2.Pose) -> bool:
         """Return True if the points of a submap determine its pose here, at the same place as another pose."""
@@ -108,16 +110,10 @@ def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None
         placement = _refine(new, old, submap, pose)
         others = [other for other in placements if placement.differs(other)]
         same = [other for other in placements if not placement.differs(other)]
-        placements = [*others, min([*same, placement], key=lambda one: _cost(new, old, one))]
+        placements = [*others, min([*same, placement], key=lambda one: one.cost)]
         if len(placements) == MAX_CANDIDATES:
             break
     return placements
-
-
-def _cost(new: ScannedDrive, old: ScannedMap, placement: Placement) -> float:
-    """Return the cost of the points of all submaps in a placement."""
-    pairs = zip(new.submaps, placement.poses, strict=True)
-    return sum(point_cost(old.field, submap.points.points, pose)[0] for submap, pose in pairs)
 
 
 def _random_candidates(new: ScannedDrive, near: Uncertainty) -> Iterator[tuple[int, se2.Pose]]:
@@ -166,7 +162,9 @@ def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> P
             covariance = adjoint @ refined @ adjoint.T + drift
             if other not in predicted or position_sigma(covariance) < position_sigma(predicted[other][1]):
                 predicted[other] = se2.compose(match.pose, relative), covariance
-    return Placement(poses, informations)
+    pairs = zip(new.submaps, poses, strict=True)
+    cost = sum(point_cost(old.field, submap.points.points, pose)[0] for submap, pose in pairs)
+    return Placement(poses, informations, cost)
 
 
 def _match_within(field: DistanceField, points: Floats, prediction: Prediction) -> PointMatch:

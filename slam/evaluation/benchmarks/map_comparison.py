@@ -83,8 +83,9 @@ def _covariance(graph: GraphEstimate, walls: Integers, points: Floats) -> Floats
 
     points  (n,) metres along each wall from its frame, where the offset is that of its line
     """
-    joint = graph.wall_covariances([walls.tolist()])[0] - graph.wall_bends.of_all(walls.tolist())
-    lever = np.eye(len(joint))
+    joint = graph.covariance_of([], walls.tolist())
+    rows = np.flatnonzero(np.arange(len(joint)) % 3)  # offset and heading of (along, offset, heading)
+    joint, lever = joint[np.ix_(rows, rows)], np.eye(len(rows))
     lever[np.arange(0, len(joint), 2), np.arange(1, len(joint), 2)] = points
     return np.asarray(lever @ joint @ lever.T)
 
@@ -103,6 +104,6 @@ def _bends(graphs: tuple[GraphEstimate, GraphEstimate], walls: tuple[Integers, I
     for row, (pair, along) in enumerate(zip(zip(*walls, strict=True), points, strict=True)):
         one, two = (own.responses.get(int(wall)) for own, wall in zip(bends, pair, strict=True))
         if one is not None and two is not None:
-            difference = one.at(along[0]).without(two.at(along[1]))
+            difference = one.at(along[0]).minus(two.at(along[1]))
             joint[2 * row : 2 * row + 2, 2 * row : 2 * row + 2] = difference.covariance(variance, length)
     return joint

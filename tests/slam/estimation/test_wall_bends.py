@@ -81,10 +81,10 @@ def test_lines_fitted_to_the_same_bends_differ_only_by_what_was_seen() -> None:
     places, weights = np.array([0.5, 1.0, 1.5]), np.array([[0.2, 0.3, 0.5], [-1.0, 0.0, 1.0]])
     response = BendResponse(places, weights)
     same = BendResponse(places + 2.0, np.array([[1.0, -2.0], [0.0, 1.0]]) @ weights)  # from a frame 2 m back
-    np.testing.assert_allclose(response.at(0.7).without(same.at(2.7)).covariance(1.0, 0.5), 0.0, atol=1e-12)
+    np.testing.assert_allclose(response.at(0.7).minus(same.at(2.7)).covariance(1.0, 0.5), 0.0, atol=1e-12)
     far = BendResponse(places + 50.0, weights)
     expected = response.covariance(1.0, 0.5) + far.covariance(1.0, 0.5)
-    np.testing.assert_allclose(response.without(far).covariance(1.0, 0.5), expected, atol=1e-12)
+    np.testing.assert_allclose(response.minus(far).covariance(1.0, 0.5), expected, atol=1e-12)
 
 
 def test_a_map_without_scans_has_no_bends() -> None:

@@ -59,13 +59,18 @@ def test_repeated_errors_lose_information(kind: FactorKind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("walls", [2, 3, 8])
-@pytest.mark.parametrize(("decay", "variance"), [(0.0, 1.0), (0.6, 4.0)])
-def test_errors_that_poses_have_absorbed_count(kind: FactorKind, walls: int, decay: float, variance: float) -> None:
-    """Residuals of two walls at each keyframe have half of the variance of their errors, those of many nearly all."""
+@pytest.mark.parametrize(("walls", "views"), [(2, 60), (3, 60), (8, 60), (20, 30)])
+@pytest.mark.parametrize(("decay", "variance", "tolerance"), [(0.0, 1.0, 0.4), (0.6, 4.0, 0.3)])
+def test_errors_that_poses_and_walls_have_absorbed_count(
+    kind: FactorKind, walls: int, views: int, decay: float, variance: float, tolerance: float
+) -> None:
+    """A pose takes half of the variance of two walls' errors, and a wall most of what is common to few views.
+
+    Estimates below one are taken as one, which makes the mean for white errors larger.
+    """
     random = np.random.default_rng(4)
-    scales = [inflation(kind, autoregressive(random, walls, 60, decay)).mean() for _ in range(50)]
-    assert np.mean(scales) == pytest.approx(variance, rel=0.4)
+    scales = [inflation(kind, autoregressive(random, walls, views, decay)).mean() for _ in range(50)]
+    assert np.mean(scales) == pytest.approx(variance, rel=tolerance)
 
 
 def test_walls_differ() -> None:
@@ -77,7 +82,7 @@ def test_walls_differ() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_slopes_are_those_of_the_residuals(kind: FactorKind) -> None:
+def test_jacobians_are_those_of_the_residuals(kind: FactorKind) -> None:
     pose, wall = np.array([2.0, -1.0, 0.7]), np.array([3.0, 2.5, -1.1])
     measured = se2.between(pose, wall)
     if kind is FactorKind.WALL_OFFSET:
@@ -92,5 +97,5 @@ def test_slopes_are_those_of_the_residuals(kind: FactorKind) -> None:
     by_pose = [residual(step * axis, still) / step for axis in np.eye(3)]
     by_wall = [residual(still, step * axis) / step for axis in np.eye(3)[1:]]  # offset and heading
     found = _observations([factor], {5: pose}, {9: wall}, 0.0)
-    np.testing.assert_allclose(found.by_pose[0], by_pose, atol=1e-2)
-    np.testing.assert_allclose(found.by_wall[0], by_wall, atol=1e-2)
+    np.testing.assert_allclose(found.pose_jacobian[0], by_pose, atol=1e-2)
+    np.testing.assert_allclose(found.wall_jacobian[0], by_wall, atol=1e-2)
