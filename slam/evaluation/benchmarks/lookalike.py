@@ -42,7 +42,7 @@ WORLDS = {
 """Worlds, and the distance in metres between a place and the nearest one that looks the same, from the plan: the
 spacing of equal doors and rooms, the length of the symmetric room, the displacement of the furniture; infinite if no
 place can be moved onto another, zero if nothing shows the position."""
-MAX_ERROR, MAX_ANGLE_ERROR = 0.5, np.radians(10.0)  # metres, radians; a closure with a larger error is wrong
+MAX_ERROR, MAX_ANGLE_ERROR = 0.5, np.radians(10.0)  # metres, radians; with a larger error a closure is wrong
 MISPLACED = 1.0  # metres; a relocalisation with a larger error, or a run that ends with one, is in a wrong place
 MIN_NEEDED_DRIFT = 0.5  # metres of drift at a revisited place: more than data association tolerates
 MAX_JOINED_ERROR = 0.3  # metres between two visits of one place that are joined in the final map
@@ -110,7 +110,7 @@ class LookalikeRun:
 
     @property
     def wrong(self) -> list[ScoredDecision]:
-        """Accepted loops to a wrong place."""
+        """Accepted loops to a wrong place, and those at which the final map is wrong."""
         return [
             decided for decided in self.accepted if decided.error > MAX_ERROR or decided.angle_error > MAX_ANGLE_ERROR
         ]
@@ -126,7 +126,7 @@ class LoopStatistics:
     """Counts and rates over several runs; drift and ate are medians in metres.
 
     condition     world and variant, or "total"
-    wrong         wrong closures, `wrong_drives` runs with one or more
+    wrong         wrong closures, or accepted ones at which the final map is wrong; `wrong_drives` runs with one or more
     wrong_rate    share of runs with a wrong closure
     wrong_limit   upper 95 % confidence limit of the probability of a wrong closure in a drive
     wrong_of_accepted_limit  the same of the probability that an accepted closure is wrong
@@ -196,6 +196,7 @@ def run_world(world: str, seed: int, variant: str = STANDARD) -> LookalikeRun:
             for message in messages:
                 slam.add(message)
         finished = slam.finish()
+        scorer.score_closed(finished.keyframes)
     except MapError as error:
         errors = tuple(scorer.relocalisation_errors)
         return LookalikeRun(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from ...events import (
     Relocalised,
     WallsMerged,
 )
+from ...geometry.segments import Floats
+from ...loop_closure.loop_status import LoopStatus
 from ...mapping.map_features import MapWalls
 from ..ground_truth import match_walls, true_walls
 from ..metrics import align, motion_errors
@@ -31,7 +33,11 @@ MIN_OBSERVATIONS = 3  # of a true wall by a mapped one
 
 @dataclass(frozen=True, slots=True)
 class ScoredDecision:
-    """A loop decision and the error of its motion (metres, radians)."""
+    """A loop decision, and the error of the relative pose of its two keyframes (metres, radians).
+
+    For a closed loop it is that of the decision or of the final map, whichever is larger: the map may be bent although
+    the decision was right.
+    """
 
     keyframe: int
     status: str
@@ -67,6 +73,7 @@ class LoopScorer:
         self._travelled: dict[int, float] = {}
         self._merged_into: dict[int, int] = {}
         self._observations: dict[int, dict[int, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
+        self._closed: dict[int, tuple[int, int]] = {}  # by candidate: index of the decision, and old keyframe
         self.decisions: list[ScoredDecision] = []
         self.revisits: list[Revisit] = []
         self.relocalisation_errors: list[float] = []
@@ -114,6 +121,10 @@ class LoopScorer:
         before = self._estimate if event.correction is None else event.correction.keyframes_before
         there = se2.compose(before[event.index], event.motion)
         error, angle_error = self._motion_error(event.old, event.index, there)
+        if event.status is LoopStatus.ACCEPTED:
+            self._closed[event.candidate] = len(self.decisions), event.old
+        elif event.status is LoopStatus.RETRACTED:
+            del self._closed[event.candidate]
         self.decisions.append(ScoredDecision(event.index, event.status, event.reason, error, angle_error))
 
     def _score_relocalisation(self, event: Relocalised) -> None:
@@ -130,6 +141,15 @@ class LoopScorer:
         return max((revisit.error for revisit in self.revisits), default=0.0)
 
     # --- Scores of the final map
+
+    def score_closed(self, keyframes: Floats) -> None:
+        """Give the closed loops the errors of the final map, with keyframes (k, 3), if they are larger."""
+        self._estimate = dict(enumerate(keyframes))
+        for index, old in self._closed.values():
+            decision = self.decisions[index]
+            error, angle_error = self._motion_error(old, decision.keyframe, keyframes[decision.keyframe])
+            error, angle_error = max(error, decision.error), max(angle_error, decision.angle_error)
+            self.decisions[index] = replace(decision, error=error, angle_error=angle_error)
 
     def joined_share(self, finished: Finished, tolerance: float) -> float:
         """Return the share of revisits whose relative error in the final map is below `tolerance` metres."""

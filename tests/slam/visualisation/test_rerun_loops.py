@@ -81,6 +81,33 @@ def test_needed_loop_is_closed_at_the_right_place(logged: Logged) -> None:
     assert max(decided.angle_error for decided in accepted) < MAX_ANGLE_ERROR
 
 
+def test_a_closed_loop_is_wrong_if_the_final_map_is_bent(logged: Logged) -> None:
+    """The loop is closed at the right place, and so is the map then, but later keyframes may bend it."""
+    scorer = LoopScorer(Simulation("large_loop", seed=0, duration=DURATION))
+    closure = next(k for k, event in enumerate(logged.events) if isinstance(event, LoopDecided))
+    for event in logged.events[: closure + 1]:
+        if isinstance(event, scorer.handled):
+            scorer.handle(event)
+    closed = logged.events[closure]
+    assert isinstance(closed, LoopDecided)
+    assert closed.status is LoopStatus.ACCEPTED
+    assert closed.correction is not None
+    keyframes = closed.correction.keyframes
+    scorer.score_closed(keyframes)
+    assert scorer.decisions[0].error < MAX_ERROR
+    bent = keyframes.copy()
+    bent[closed.index, 0] += 2.0 * MAX_ERROR
+    scorer.score_closed(bent)
+    assert scorer.decisions[0].error > MAX_ERROR
+
+
+def test_a_retracted_loop_is_scored_by_its_decision_alone(logged: Logged) -> None:
+    """It is open in the final map, which has drifted."""
+    before = list(logged.scorer.decisions)
+    logged.scorer.score_closed(logged.slam.slam_state.mapper.keyframe_poses + np.array([0.0, 0.0, 1.0]))
+    assert logged.scorer.decisions == before
+
+
 def test_a_late_rejection_is_scored_by_the_pose_that_it_is_about(logged: Logged) -> None:
     rejected = [decided for decided in logged.scorer.decisions if decided.status == LoopStatus.REJECTED]
     assert rejected  # at the end of the drive, for the motion of the closure that was retracted

@@ -40,7 +40,8 @@ def bench_lookalike(
 ) -> None:
     """Measure false loop closures and relocalisations in simulated worlds whose places look alike.
 
-    Exit status 1 if a wrong loop closure was accepted or a lost robot was relocalised in a wrong place. The column
+    Exit status 1 if a wrong loop closure was accepted or a lost robot was relocalised in a wrong place. A closure is
+    wrong, too, if the final map is wrong where it was closed, by more than 0.5 m or 10 degrees. The column
     "wrong per drive" is the upper 95 % confidence limit of the share of drives with a wrong closure; "ended off" counts
     drives whose final position is more than 1 m off, for example because of drift.
 
