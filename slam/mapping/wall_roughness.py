@@ -19,6 +19,7 @@ from drivers import se2
 from drivers.compiled import compiled
 
 from ..geometry.angles import wrap_angle
+from ..geometry.median import weighted_median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.roughness import Roughness, wall_weights
 from ..geometry.segments import Floats, Integers, Segments
@@ -50,8 +51,17 @@ class WallRoughness:
         self.samples: Floats = np.zeros((0, 2, 2))
         self.variances = Roughness(INITIAL_VARIANCE, INITIAL_VARIANCE)
 
+    @classmethod
+    def restored(cls, samples: Floats, variances: Roughness | None) -> WallRoughness:
+        """Return a saved estimate. Its variances depend on those before: without them they are estimated anew."""
+        roughness = cls()
+        roughness.add_samples(samples)
+        if variances is not None:
+            roughness.variances = variances
+        return roughness
+
     def add_samples(self, samples: Floats) -> None:
-        """Add `samples` (n, 2, 2), e.g. of a saved estimate, and estimate the variances again.
+        """Add `samples` (n, 2, 2), and estimate the variances again.
 
         With few samples, the initial variances have weight.
         """
@@ -90,7 +100,7 @@ def _estimate(excess: Floats, expected: Floats, variance: float) -> float:
     factor. Its v is what was `expected` (n,) without roughness, and the `variance` that was estimated before.
     """
     information = (expected + variance) ** -2.0
-    return max(0.0, float(np.quantile(excess, 0.5, weights=information, method="inverted_cdf")))
+    return max(0.0, weighted_median(excess, information))
 
 
 @compiled

@@ -11,8 +11,8 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
 from features import LearnedNoise
 
 from ...config import LidarConfig
-from ...geometry.segments import Floats
-from ...mapping.wall_roughness import INITIAL_VARIANCE
+from ...geometry.roughness import Roughness
+from ...mapping.wall_roughness import INITIAL_VARIANCE, WallRoughness
 from ...odometry.error_model import OdometryModel
 from ...odometry.systematic_errors import PERFECT
 from .records import Finite, Record
@@ -22,6 +22,7 @@ MAX_SYSTEMATIC_ERROR = 10.0
 EXPECTED_VARIANCES = 1e-12, 1e12
 """Square metres, limits of what is expected of a sample of roughness: from a micrometre to what nothing determines."""
 _Sample = tuple[Finite, Annotated[Finite, Field(ge=EXPECTED_VARIANCES[0], le=EXPECTED_VARIANCES[1])]]
+_Variance = Annotated[Finite, Field(ge=0.0, le=EXPECTED_VARIANCES[1])]
 _RoughnessSample = tuple[_Sample, _Sample]
 _SystematicError = Annotated[Finite, Field(ge=-MAX_SYSTEMATIC_ERROR, le=MAX_SYSTEMATIC_ERROR)]
 
@@ -35,6 +36,7 @@ class SensorModelsRecord(Record):
     odometry_samples  (n, 8)
     odometry_expected (6,) see `OdometryModel.expected_errors`
     roughness_samples (m, 2, 2) see `WallRoughness.samples`; earlier sessions have (m,) excesses of either kind
+    roughness_variances  (2,) see `WallRoughness.variances`; None in earlier sessions
     second_*          of the second lidar; None if there is none
     """
 
@@ -46,6 +48,7 @@ class SensorModelsRecord(Record):
     odometry_samples: list[list[Finite]]
     odometry_expected: list[_SystematicError] = Field(default=PERFECT.tolist(), min_length=6, max_length=6)
     roughness_samples: list[_RoughnessSample | Finite]
+    roughness_variances: tuple[_Variance, _Variance] | None = None
     second_sigma_range: Finite | None = Field(default=None, gt=0.0)
     second_sigma_bearing: Finite | None = Field(default=None, gt=0.0, le=math.pi)
     second_segmentation_range: Finite | None = Field(default=None, gt=0.0)
@@ -54,22 +57,24 @@ class SensorModelsRecord(Record):
 
     @classmethod
     def from_models(
-        cls, noise: LearnedNoise, odometry: OdometryModel, roughness_samples: Floats, second_noise: LearnedNoise | None
+        cls, noise: LearnedNoise, odometry: OdometryModel, roughness: WallRoughness, second_noise: LearnedNoise | None
     ) -> SensorModelsRecord:
         """Make the record from the models; `second_noise` is None without a second lidar."""
         return cls.model_construct(
             **_values(noise),
             odometry_samples=odometry.samples.tolist(),
             odometry_expected=odometry.expected_errors.tolist(),
-            roughness_samples=roughness_samples.tolist(),
+            roughness_samples=roughness.samples.tolist(),
+            roughness_variances=(roughness.variances.offset, roughness.variances.ends),
             **({} if second_noise is None else _values(second_noise, "second_")),
         )
 
     @property
-    def roughness(self) -> Floats:
-        """Samples (m, 2, 2) of the wall roughness; those of earlier sessions are of both, with equal weights."""
-        old = [[(s, INITIAL_VARIANCE)] * 2 if isinstance(s, float) else s for s in self.roughness_samples]
-        return np.array(old, dtype=np.float64).reshape(-1, 2, 2)
+    def roughness(self) -> WallRoughness:
+        """Estimate of the wall roughness; the samples of earlier sessions are of both kinds, with equal weights."""
+        samples = [[(s, INITIAL_VARIANCE)] * 2 if isinstance(s, float) else s for s in self.roughness_samples]
+        variances = None if self.roughness_variances is None else Roughness(*self.roughness_variances)
+        return WallRoughness.restored(np.array(samples, dtype=np.float64).reshape(-1, 2, 2), variances)
 
     @property
     def noise(self) -> LearnedNoise:

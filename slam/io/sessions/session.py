@@ -18,7 +18,6 @@ from ...graph.graph_storage import graph_state
 from ...mapping.keyframes import KeyframeRecords
 from ...mapping.landmarks import Landmarks
 from ...mapping.mapper import Mapper
-from ...mapping.wall_roughness import WallRoughness
 from ...preprocessing.scan_sequence import ScanSequence
 from ..output_dir import CONFIG, SESSION, require_results
 from ..stored_session import StoredSession
@@ -76,7 +75,7 @@ def write_session(directory: Path, session: StoredSession) -> None:
         slam_state.joins.states,
         graph,
         SensorModelsRecord.from_models(
-            session.noise, slam_state.odometry_model, mapper.roughness.samples, session.second_noise
+            session.noise, slam_state.odometry_model, mapper.roughness, session.second_noise
         ),
         mapper.landmarks.parts,
     )
@@ -141,13 +140,13 @@ def _read_slam_state(
     check_variables(folder / VARIABLES, graph, landmarks, len(scans.keyframe_stamps))
     check_factors(folder / FACTORS, graph, factors, unconfirmed, landmarks)
     check_drift(folder / KEYFRAMES, records.correlated_drift, factors)
-    roughness = WallRoughness()
-    roughness.add_samples(header.sensor_models.roughness)
     free_space_evidence = read_free_space_evidence(folder / WALLS)
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"):  # damaged numbers raise ArithmeticError
             views = [(keyframes[k].features.segments, keyframes[k].features.points.xy) for k in range(len(rows))]
-            mapper = Mapper.from_saved(graph, landmarks, roughness, free_space_evidence, records, views, unconfirmed)
+            mapper = Mapper.from_saved(
+                graph, landmarks, header.sensor_models.roughness, free_space_evidence, records, views, unconfirmed
+            )
             return SlamState.restored(
                 config,
                 np.array(header.sensor_models.odometry_samples).reshape(-1, 8),

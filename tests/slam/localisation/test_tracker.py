@@ -204,15 +204,17 @@ def test_the_path_goes_on_evenly_while_odometry_counts_backwards() -> None:
 def test_late_readings_of_odometry_are_no_failure() -> None:
     """Among people no scan fits well, but the poses of several in a row agree with each other.
 
-    How long a reading is late differs: in one of six drives, the errors are three times the usual ones.
+    How long a reading is late differs: in one of six drives, the errors are three times the usual ones. The RMS errors
+    of twelve other drives are 0.014 to 0.042 m, 0.026 m in the mean.
     """
-    usual = []
-    for seed in (9, 10, 12):
+    rms, largest = [], []
+    for seed in range(9, 15):
         result, errors, _ = drive(LateOdometry(seed))
-        usual.append(np.sqrt(np.mean(errors[:, 0] ** 2)))
-        assert errors[:, 0].max() < 0.1
+        rms.append(np.sqrt(np.mean(errors[:, 0] ** 2)))
+        largest.append(errors[:, 0].max())
         assert "LOST" not in [state["state"] for state in result.summary["states"]]
-    assert np.median(usual) < 0.025
+    assert np.median(rms) < 0.035
+    assert sorted(largest)[-2] < 0.1
 
 
 def test_no_notice_without_a_failure() -> None:
