@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from .mapper import Mapper
 
 # Metres of driving from one solution of the graph to the next; tracking supplies the poses in between.
-# Origin: definition, LOCAL_MAP_MARGIN: so the scans are still matched to walls that were read back.
-SOLVE_DISTANCE = LOCAL_MAP_MARGIN
-# Radians of turning likewise, the sum of those between keyframes. Origin: definition, half of the field of view of a
-# half-circle lidar: half of a scan still shows walls that were read back.
-SOLVE_TURN = math.radians(90.0)
+# Origin: definition, half of LOCAL_MAP_MARGIN: so the scans are still matched to walls that were read back.
+SOLVE_DISTANCE = 0.5 * LOCAL_MAP_MARGIN
+# Radians of turning likewise, the sum of those between keyframes. Origin: chosen, a quarter of the field of view of a
+# half-circle lidar: most of a scan still shows walls that were read back.
+SOLVE_TURN = math.radians(45.0)
 # Keyframes after which the estimate of all landmarks is read back, not only of those nearby.
 # Origin: chosen, the cost of reading all back becomes negligible; not measured.
 FULL_READ_BACK_INTERVAL = 20
