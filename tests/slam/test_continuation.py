@@ -138,7 +138,6 @@ def test_a_run_of_an_earlier_version_continues(
     ("lidar", "interrupted"),
     [
         pytest.param(LidarModel(beams=180, rate=5.0), 9.0, id="while the noise is learned"),
-        pytest.param(LidarModel(beams=180, rate=5.0), 10.0, id="while keyframes wait"),
         pytest.param(LidarModel(beams=360, rate=5.0, range_max=15.0), 9.0, id="before walls are linearised again"),
     ],
 )

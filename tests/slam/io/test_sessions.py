@@ -16,6 +16,7 @@ from slam import Slam
 from slam.config import LidarConfig, load_config
 from slam.errors import MapError
 from slam.estimation.slam_state import SlamState
+from slam.geometry.roughness import Roughness
 from slam.graph.graph_storage import graph_state
 from slam.io.output_dir import SESSION
 from slam.io.sessions import Recording, StoredSession, is_session, read_session
@@ -298,6 +299,19 @@ def test_the_readings_of_odometry_at_fixes_are_kept(written: tuple[StoredSession
         assert of_earlier.stamp == last
         np.testing.assert_array_equal(after.pose, before.pose)
         np.testing.assert_array_equal(of_earlier.pose, before.pose)
+
+
+def test_the_roughness_is_kept(written: tuple[StoredSession, Path], tmp_path: Path) -> None:
+    """Its variances depend on those before, so that the samples alone may give others."""
+    saved, path = written[0].slam_state.mapper.roughness, shutil.copytree(written[1], tmp_path / "out")
+    header = path / SESSION / HEADER
+    data = json.loads(header.read_text())
+    assert data["sensor_models"]["roughness_variances"] == list(saved.variances)
+    data["sensor_models"]["roughness_variances"] = [4e-6, 9e-6]
+    header.write_text(json.dumps(data))
+    restored = read_session(path).slam_state.mapper.roughness
+    assert restored.variances == Roughness(4e-6, 9e-6)
+    np.testing.assert_array_equal(restored.samples, saved.samples)
 
 
 def test_the_roughness_of_earlier_sessions_is_that_of_offsets_and_ends(
