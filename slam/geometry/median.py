@@ -21,7 +21,7 @@ def median(values):  # type: ignore[no-untyped-def]
 def weighted_median(values: Floats, weights: Floats) -> float:
     """Return the least of the values (n,) up to which the weights (n,) add up to half of all, or more.
 
-    It is that of `np.quantile` with weights, in a fifth of the time for a thousand values.
+    `np.quantile` with weights gives the same, but takes almost four times as long for a thousand values.
     """
     order = np.argsort(values)
     sums = np.cumsum(weights[order])

@@ -196,7 +196,6 @@ def run_world(world: str, seed: int, variant: str = STANDARD) -> LookalikeRun:
             for message in messages:
                 slam.add(message)
         finished = slam.finish()
-        scorer.score_closed(finished.keyframes)
     except MapError as error:
         errors = tuple(scorer.relocalisation_errors)
         return LookalikeRun(
@@ -211,6 +210,7 @@ def run_world(world: str, seed: int, variant: str = STANDARD) -> LookalikeRun:
             failed=str(error),
             variant=variant,
         )
+    scorer.score_closed(finished.keyframes)
     return LookalikeRun(
         world,
         seed,
