@@ -150,11 +150,13 @@ class McapWriter:
         self._encoder = RosEncoder()
         self._writer = Writer(self._file)
         self._writer._Writer__chunk_indices = ChunkIndexes()  # type: ignore[attr-defined]  # a list grows faster
-        self._writer.start(profile="ros2", library="wclm-slam")
         self._channels: dict[str, int] = {}
         self._frames: dict[bytes | None, str] = {}  # mount -> name of the lidar's frame
         self._flush_time = time.monotonic()
         self._flushed_size = 0  # bytes of the file after the last flush
+        with self._truncating_on_error():
+            self._writer.start(profile="ros2", library="wclm-slam")
+            self._flush()  # so that the file can be read even if the first messages cannot be written
 
     def __enter__(self) -> Self:
         return self
@@ -195,10 +197,13 @@ class McapWriter:
 
     def _flush_periodically(self) -> None:
         if time.monotonic() - self._flush_time >= FLUSH_PERIOD:
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            os.fsync(self._file.fileno())
-            self._flushed_size = self._file.tell()
-            self._flush_time = time.monotonic()
+            self._flush()
+
+    def _flush(self) -> None:
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        os.fsync(self._file.fileno())
+        self._flushed_size = self._file.tell()
+        self._flush_time = time.monotonic()
 
     @contextmanager
     def _truncating_on_error(self) -> Iterator[None]:

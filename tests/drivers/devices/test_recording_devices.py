@@ -139,12 +139,9 @@ def test_a_full_disk_ends_the_recording_and_keeps_the_file(peer: Any, tmp_path: 
     assert not peer.scans_since_last_stop()
 
 
-def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.recordings.mcap.FLUSH_PERIOD", 0.0)
-    path = tmp_path / "a.mcap"
+def write_until_full(writer: McapWriter, size: int) -> list[float]:
+    """Write readings until the file is larger than `size` bytes, which fails; return the stamps of those written."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    writer = McapWriter(path)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
     written: list[float] = []
 
     def write_without_end() -> None:
@@ -152,11 +149,31 @@ def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatc
             writer.write(Odometry(len(written) / 100, np.zeros(3)))
             written.append(len(written) / 100)
 
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         with pytest.raises(RecordingError, match="File too large"):
             write_without_end()
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    return written
+
+
+def test_a_disk_that_is_full_before_the_first_flush_leaves_an_mcap_file_without_messages(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy computer more may be written at once than there is room for."""
+    monkeypatch.setattr("drivers.recordings.mcap.FLUSH_PERIOD", np.inf)
+    path = tmp_path / "a.mcap"
+    assert write_until_full(McapWriter(path), 1_000)
+    with pytest.raises(RecordingError, match="contains no readable .* truncated"):
+        list(McapReader(path))
+
+
+def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.recordings.mcap.FLUSH_PERIOD", 0.0)
+    path = tmp_path / "a.mcap"
+    writer = McapWriter(path)
+    written = write_until_full(writer, 20_000)
     assert [message.stamp for message in McapReader(path)] == written
     with pytest.raises(RecordingError, match="closed"):
         writer.write(Odometry(1e3, np.zeros(3)))

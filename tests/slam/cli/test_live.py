@@ -255,7 +255,7 @@ def test_a_failure_of_the_reader_process_keeps_earlier_measurements(tmp_path: Pa
 
 
 def test_a_full_disk_ends_the_recording_but_not_the_mapping(tmp_path: Path, robot: Robot) -> None:
-    limit = 100_000
+    limit = 300_000  # some seconds, more than is flushed at once
 
     def limit_files() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
