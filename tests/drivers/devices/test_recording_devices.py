@@ -165,7 +165,7 @@ def test_a_disk_that_is_full_before_the_first_flush_leaves_an_mcap_file_without_
     monkeypatch.setattr("drivers.recordings.mcap.FLUSH_PERIOD", np.inf)
     path = tmp_path / "a.mcap"
     assert write_until_full(McapWriter(path), 1_000)
-    with pytest.raises(RecordingError, match="contains no readable .* truncated"):
+    with pytest.raises(RecordingError, match=r"contains no readable .* truncated"):
         list(McapReader(path))
 
 
