@@ -51,6 +51,18 @@ class Residuals:
         """Return a mask (n,) of the factors of a kind."""
         return np.array([one == kind for one in self.kind], dtype=bool)
 
+    def expected_wall_variance(self) -> float:
+        """Return the expected variance of residuals of walls, relative to that of their noise as modelled.
+
+        The poses (3 degrees of freedom) and the walls (2) are fitted to them, which absorbs a part of the noise: this
+        is the mean redundancy number of an adjustment, as far as nothing else determines poses and walls.
+        """
+        poses, walls = self.between[self.is_kind(WALL)].T
+        if not len(walls):
+            return 1.0
+        fitted = 3 * len(np.unique(poses)) + 2 * len(np.unique(walls))
+        return max(1.0, len(walls) - fitted) / len(walls)
+
     def worst(self, count: int) -> NDArray[np.int64]:
         """Return the indices of the measurements with the largest `squared / dof`, the worst first."""
         misfit = np.where(self.is_kind(GAUGE_PRIOR) | self.is_kind(PRIOR), -np.inf, self.squared / self.dof)

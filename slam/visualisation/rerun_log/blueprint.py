@@ -225,7 +225,8 @@ class _Panels:
     def histogram(self) -> rrb.BarChartView:
         """Return the view of the distribution of the residuals."""
         legend = rrb.PlotLegend(rrb.Corner2D.RightTop)
-        return rrb.BarChartView(origin=f"{self._root}residuals/histogram", name="Residuals [σ], %", plot_legend=legend)
+        origin, name = f"{self._root}residuals/histogram", "Residuals of walls [σ], %"
+        return rrb.BarChartView(origin=origin, name=name, plot_legend=legend)
 
     def decisions(self) -> list[rrb.DataframeView]:
         """Return the table of all loop decisions; nothing if there is none."""

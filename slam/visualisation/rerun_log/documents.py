@@ -122,7 +122,14 @@ def residual_report(residuals: Residuals, count: int) -> str:
         beyond = sum(int((chi_square_tail(n, squared[dof == n]) < 0.001).sum()) for n in np.unique(dof).tolist())
         share = percent(beyond / len(squared), 1)
         lines.append(f"| {kind} | {len(squared)} | {squared.sum() / dof.sum():.2f} | {share} |")
-    lines += ["", "The expected mean is 1 if the noise is as modelled.", ""]
+    expected = residuals.expected_wall_variance()
+    lines += [
+        "",
+        f"The expected mean of walls is {expected:.2f} if the noise is as modelled: poses and walls are fitted to it. "
+        "On recordings it is less, as errors that repeat from view to view move a wall as a whole. The covariances of "
+        "the other kinds are widened, as they share points or errors with walls.",
+        "",
+    ]
     lines += ["| worst factors | kind | d² | weight |", "|---|---|---|---|"]
     for index in residuals.worst(count).tolist():
         squared, weight = residuals.squared[index], residuals.weight[index]

@@ -11,7 +11,7 @@ from drivers import se2
 from ...events import GraphInspected, KeyframeAdded
 from ...geometry.chi_square import chi_square_tail
 from ...geometry.segments import Floats, Integers
-from ...graph.residuals import CORNER, GAUGE_PRIOR, MEASUREMENTS, ODOMETRY, PRIOR, WALL, Residuals
+from ...graph.residuals import CORNER, GAUGE_PRIOR, MEASUREMENTS, ODOMETRY, WALL, Residuals
 from ...mapping.map_features import MapCorners, MapWalls
 from . import colours
 from .colours import Colour
@@ -120,16 +120,16 @@ class FactorGraphLayer:
         self._writer.log_batched("graph", rr.GraphEdges, edges=edges, graph_type=["undirected"])
 
     def _log_histogram(self, residuals: Residuals) -> None:
-        """Log how many measurements deviate by how many sigmas, and how many would if the noise is as modelled."""
-        measured = ~residuals.is_kind(GAUGE_PRIOR) & ~residuals.is_kind(PRIOR) & (residuals.dof > 0)
-        squared, dof = residuals.squared[measured], residuals.dof[measured]
+        """Log how many observations of walls deviate by how many sigmas, and how many would if noise is as modelled.
+
+        The covariances of the other kinds are widened, as they share points or errors with walls.
+        """
+        deviations = np.sqrt(residuals.squared[residuals.is_kind(WALL)])
         limits = BIN * np.arange(BINS + 1)
         limits[-1] = np.inf
-        observed, _ = np.histogram(np.sqrt(squared / dof), limits)
-        expected = np.zeros(BINS)
-        for freedom in np.unique(dof).tolist():
-            expected -= (dof == freedom).sum() * np.diff(chi_square_tail(freedom, freedom * limits**2))
-        middles, total = BIN * (np.arange(BINS) + 0.5), max(len(squared), 1)
+        observed, _ = np.histogram(deviations, limits)
+        expected = -len(deviations) * np.diff(chi_square_tail(1, limits**2 / residuals.expected_wall_variance()))
+        middles, total = BIN * (np.arange(BINS) + 0.5), max(len(deviations), 1)
         for place, (name, counts, shade) in enumerate(
             (("observed", observed, colours.ESTIMATE), ("expected", expected, colours.ODOMETRY))
         ):

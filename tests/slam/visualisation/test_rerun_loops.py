@@ -20,6 +20,7 @@ from slam.graph.residuals import CORNER, GAUGE_PRIOR, ODOMETRY, WALL, WALL_EQUAL
 from slam.loop_closure.loop_status import LoopStatus
 from slam.pipeline import Slam
 from slam.visualisation.rerun_log import ReviewLog
+from slam.visualisation.rerun_log.factor_graph_layer import BIN
 from slam.visualisation.rerun_log.rrd_reader import Row, chunks_of, rows
 from slam.visualisation.rerun_log.shapes import segment_ends
 
@@ -266,13 +267,23 @@ def test_only_the_worst_factors_are_drawn_in_the_map(logged: Logged) -> None:
         assert set(names) <= set(listed.values["factor"])
 
 
-def test_the_histogram_of_residuals_contains_all_measurements(logged: Logged) -> None:
+def test_the_shares_of_the_histogram_of_residuals_add_up(logged: Logged) -> None:
     for name in ("observed", "expected"):
         shares = logged.rows(f"/residuals/histogram/{name}")
         assert len(shares) == len(logged.rows("/residuals/worst"))
         for row in shares:
             (values,) = row.values["BarChart:values"]
             assert sum(values["buffer"]) == pytest.approx(100.0)
+
+
+def test_observations_of_simulated_walls_deviate_as_expected(logged: Logged) -> None:
+    """The noise is as modelled, so both histograms are about equal."""
+    observed, expected = (
+        np.array(logged.rows(f"/residuals/histogram/{name}")[-1].values["BarChart:values"][0]["buffer"])
+        for name in ("observed", "expected")
+    )
+    below = int(1.0 / BIN)
+    assert observed[:below].sum() == pytest.approx(expected[:below].sum(), abs=5.0)
 
 
 def test_a_step_of_the_closures_shows_everything_right_after_the_correction(logged: Logged) -> None:
