@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import replace
 from functools import cached_property
 
 import gtsam
@@ -109,38 +108,38 @@ class ArrayGraph:
         self._form = np.full(len(factors), BETWEEN)
         self._measured, self._direction = np.zeros((len(factors), 3)), np.zeros((len(factors), 3))
         self._information, self._scale = np.zeros((len(factors), 3, 3)), np.full(len(factors), np.inf)
-        self._corner_factors: list[FactorsOfKind] = []
+        self._corner_factors: FactorsOfKind | None = None
         ends = np.zeros((len(factors), 2), dtype=np.uint64)
         for group in by_kind(factors):
             ends[group.rows] = group.keys
             self._convert(group)
+        self._bias = bias
         self._set_variables(ends)
-        self._set_noise_of_corners(bias)
+        self._set_noise_of_corners()
         self._set_groups(())
 
     def __len__(self) -> int:
         """Number of factors."""
         return len(self._form)
 
-    def with_factors(self, removed: Integers, new: Sequence[Factor], bias: float) -> ArrayGraph:
-        """Return the graph without the factors in some rows, and with new ones after the others.
-
-        `bias` is the range bias (metres) without which the noise of new corners is converted.
-        """
+    def with_factors(self, removed: Integers, new: Sequence[Factor]) -> ArrayGraph:
+        """Return the graph without the factors in some rows, and with new ones after the others."""
         if not len(removed) and not len(new):
             return self
         kept, other = np.ones(len(self._form), dtype=bool), copy(self)
         kept[removed] = False
-        added = ArrayGraph(new, bias) if len(new) else None
+        added = ArrayGraph(new, self._bias) if len(new) else None
         parts = [(self, kept), *([] if added is None else [(added, np.ones(len(new), dtype=bool))])]
         for name in ("_form", "_measured", "_direction", "_information", "_scale"):
             setattr(other, name, np.concatenate([getattr(graph, name)[rows] for graph, rows in parts]))
         ends = [np.array(graph.keys, dtype=np.uint64)[graph._ends[rows]] for graph, rows in parts]
         other._set_variables(np.concatenate(ends))
-        other._corner_factors = [group.where(kept) for group in self._corner_factors]
-        if added is not None:
-            first = int(kept.sum())
-            other._corner_factors += [replace(group, rows=first + group.rows) for group in added._corner_factors]
+        corners = self._corner_factors
+        if corners is not None and len(removed):
+            corners = corners.where(kept)
+        if added is not None and added._corner_factors is not None:
+            corners = added._corner_factors.after(corners, int(kept.sum()))
+        other._corner_factors = corners
         other._set_groups(())
         if not len(removed):
             keys, known = (np.array(graph.keys, dtype=np.uint64) for graph in (other, self))
@@ -155,9 +154,11 @@ class ArrayGraph:
 
     def at_bias(self, bias: float) -> ArrayGraph:
         """Return the graph with the noise of corners as without another range bias (metres)."""
+        if bias == self._bias:
+            return self
         other = copy(self)
-        other._information = self._information.copy()
-        other._set_noise_of_corners(bias)
+        other._information, other._bias = self._information.copy(), bias
+        other._set_noise_of_corners()
         return other
 
     def with_groups(self, groups: Sequence[Sequence[int]]) -> ArrayGraph:
@@ -175,9 +176,9 @@ class ArrayGraph:
         self.corners = np.zeros(len(keys), dtype=bool)
         self.corners[self._ends[self._form == POINT, 1]] = True
 
-    def _set_noise_of_corners(self, bias: float) -> None:
-        for group in self._corner_factors:
-            self._information[group.rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(bias))
+    def _set_noise_of_corners(self) -> None:
+        if (group := self._corner_factors) is not None:
+            self._information[group.rows, :2, :2] = np.linalg.inv(group.covariances_in_polar(self._bias))
 
     def _set_groups(self, groups: Sequence[Sequence[int]]) -> None:
         keys = np.array(self.keys, dtype=np.uint64)
@@ -200,7 +201,7 @@ class ArrayGraph:
         self._form[rows] = POINT if kind is FactorKind.CORNER else PRIOR if kind in PRIOR_KINDS else BETWEEN
         match kind:
             case FactorKind.CORNER:
-                self._corner_factors.append(group)
+                self._corner_factors = group
             case _ if kind in WALL_KINDS:
                 root = group.roots_of_information()
                 self._information[rows] = root.transpose(0, 2, 1) @ root

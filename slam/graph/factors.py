@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -178,6 +178,15 @@ class FactorsOfKind:
             self.covariances[own],
             self.bias_slopes[own],
         )
+
+    def after(self, earlier: FactorsOfKind | None, first: int) -> FactorsOfKind:
+        """Return the factors after earlier ones of the same kind; `first` is added to the rows of these ones."""
+        later = replace(self, rows=first + self.rows)
+        if earlier is None:
+            return later
+        names = ("rows", "keys", "measured", "covariances", "bias_slopes")
+        parts = [np.concatenate([getattr(earlier, name), getattr(later, name)]) for name in names]
+        return FactorsOfKind(self.kind, *parts)
 
     def bias_directions(self) -> Floats:
         """Return the change (n, d) of `measured` per metre of range bias; zero if it does not depend on it."""

@@ -208,7 +208,7 @@ class IncrementalSolver:
         numbers, following = sorted(self.factors), batch.relinearised(THRESHOLDS)
         removed = np.searchsorted(numbers, sorted(remove))
         factors = [self.factors[number] for number in np.delete(numbers, removed).tolist()] + list(new)
-        arrays = batch.arrays.with_factors(removed, new, batch.bias)
+        arrays = batch.arrays.at_bias(batch.bias).with_factors(removed, new)
         if arrays is not batch.arrays:
             known = batch.arrays.to_values(following.linearised)
             known.insert(values)

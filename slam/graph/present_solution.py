@@ -50,9 +50,9 @@ class PresentSolution:
         else:
             removed = np.flatnonzero(~is_among(self._numbers, numbers))
             new = [*islice(factors.values(), len(self._numbers) - len(removed), None)]
-            self._arrays = self._arrays.with_factors(removed, new, bias)
+            self._arrays = self._arrays.with_factors(removed, new).at_bias(bias)
         self._numbers = numbers
-        return self._arrays.at_bias(bias)
+        return self._arrays
 
     def solution(
         self, factors: dict[int, Factor], bias: float, linearised: Callable[[], gtsam.Values]
