@@ -26,6 +26,7 @@ from ..preprocessing.preprocessor import ProcessedScan
 from ..preprocessing.scan_sequence import ScanSequence
 from .drive import Drive
 from .row_groups import MAX_GAP, consecutive_groups
+from .scan_links import ScanLinks
 from .suspect import MAP, PARTS, UNCONSTRAINED, Suspect
 from .weak_places import MIN_LENGTH
 
@@ -119,8 +120,10 @@ def unmatched_stretches(
     """Return a suspect for each stretch without a match, if odometry alone leaves the map behind uncertain.
 
     Its scans match nothing, or it has none. `keyframe_stamps` (k,) are the times of the keyframes, seconds. A loop
-    closed later may make the map behind certain.
+    closed later may make the map behind certain. If scans on both sides of a stretch without scans show the same, as
+    in a log of a scan per metre, they determine the turn.
     """
+    links = ScanLinks(mapper)
     stamps, poses = trajectory.at_scans(mapper.keyframe_poses)
     is_matched = np.asarray(trajectory.relative_poses()[3].any(axis=(1, 2)))
     suspects = []
@@ -132,7 +135,8 @@ def unmatched_stretches(
         # without the correlated drift, which a closed loop does not reduce
         covariance = mapper.graph.relative_covariance(before, after)
         shift, turn = position_sigma(covariance), float(np.sqrt(covariance[2, 2]))
-        sigma = math.hypot(shift, _displacement_by_turn(mapper, before, after, turn))
+        seen_by_both = bool(is_matched[first]) and links.connect(before, after)
+        sigma = shift if seen_by_both else math.hypot(shift, _displacement_by_turn(mapper, before, after, turn))
         if sigma > MAX_BLIND_SIGMA:
             shown = "there are no scans" if is_matched[first] else "the scans show nothing that was mapped"
             text = (

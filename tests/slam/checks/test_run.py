@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from drivers import se2
 from drivers.elapsed import elapsed
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, Simulation
 from slam import Slam
+from slam.checks import adapter
 from slam.checks.suspect import UNCONSTRAINED
 from slam.cli.run_summary import SHOWN_SUSPECTS, RunResult, format_summary
 from slam.evaluation.benchmarks.scenarios.buildings import random_building, wide_hall
+from slam.evaluation.benchmarks.scenarios.log_variants import thin
 from slam.events import EventRecorder, Finished, SuspectFound
 from slam.offline.optimisation import optimise
 
@@ -90,6 +93,18 @@ def test_a_hole_in_the_scans_is_reported() -> None:
     (row,) = [row for row in rows if row["check"] == UNCONSTRAINED]
     assert first - 1.0 < row["first"] < first < last < row["last"] < last + 1.0
     assert "there are no scans" in row["sentence"]
+
+
+def test_scans_a_metre_apart_leave_no_hole(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in many published logs: each scan shows what the one before it showed."""
+    # as in a corridor of hundreds of metres, whose far end is uncertain by the heading of each step
+    monkeypatch.setattr(adapter, "_displacement_by_turn", lambda *_: 2.0 * adapter.MAX_BLIND_SIGMA)
+    slam, simulation = Slam(), Simulation("large_loop", seed=0, duration=100.0, lidar=LIDAR)
+    for message in thin(1.1, np.pi)(simulation, np.random.default_rng(0)):
+        slam.add(message)
+    finished = slam.finish()
+    assert np.median(np.diff(slam.slam_state.mapper.travelled)) > adapter.MIN_BLIND_LENGTH
+    assert UNCONSTRAINED not in [row["check"] for row in finished.summary["suspects"]]
 
 
 def test_a_carried_robot_is_reported() -> None:
