@@ -16,8 +16,6 @@ import numpy as np
 from gtsam.symbol_shorthand import C
 from numpy.typing import NDArray
 
-from drivers.immutable import immutable
-
 from ..errors import MapError
 from ..geometry.segments import Floats, Integers
 from .array_factors import BETWEEN, POINT, PRIOR, add_normal_equations, moved, robust_cost, squared_distances
@@ -28,19 +26,20 @@ from .factors import CAUCHY_SCALES, KEY_INDEX_BITS, PRIOR_KINDS, WALL_KINDS, Fac
 # Growth of a graph, in variables, up to which an order of elimination is continued. Origin: measured, after it L has a
 # half more blocks than by a new order, and to find that takes as long as the rest of a solution.
 MAX_GROWTH = 1.1
+# Names of the arrays with a row for each factor, besides its ends. Origin: definition.
+_BY_FACTOR = ("_form", "_measured", "_direction", "_information", "_scale")
 
 
-@immutable
 class LinearGraph:
-    """A linearised graph, factorised.
+    """A linearised graph, factorised."""
 
-    step  (n, 3) Gauss-Newton step in the variables' tangent spaces
-    """
+    def __init__(self, pattern: Pattern, diagonal: Floats, below: Floats, gradient: Floats) -> None:
+        self._pattern, self._diagonal, self._below, self._gradient = pattern, diagonal, below, gradient
 
-    step: Floats
-    _pattern: Pattern
-    _diagonal: Floats
-    _below: Floats
+    @cached_property
+    def step(self) -> Floats:
+        """Gauss-Newton step (n, 3) in the variables' tangent spaces; a covariance does not need it."""
+        return np.asarray(solve(self._pattern, self._diagonal, self._below, self._gradient)[self._pattern.rank])
 
     def covariances(self) -> Floats:
         """Return the marginal covariance (n, 3, 3) of each variable in its own tangent space."""
@@ -124,26 +123,37 @@ class ArrayGraph:
 
     def with_factors(self, removed: Integers, new: Sequence[Factor]) -> ArrayGraph:
         """Return the graph without the factors in some rows, and with new ones after the others."""
-        if not len(removed) and not len(new):
-            return self
+        graph = self._without(removed) if len(removed) else self
+        return graph._with(ArrayGraph(new, self._bias)) if len(new) else graph
+
+    def _without(self, removed: Integers) -> ArrayGraph:
+        """Return the graph without the factors in some rows, and without variables that have none then."""
         kept, other = np.ones(len(self._form), dtype=bool), copy(self)
         kept[removed] = False
-        added = ArrayGraph(new, self._bias) if len(new) else None
-        parts = [(self, kept), *([] if added is None else [(added, np.ones(len(new), dtype=bool))])]
-        for name in ("_form", "_measured", "_direction", "_information", "_scale"):
-            setattr(other, name, np.concatenate([getattr(graph, name)[rows] for graph, rows in parts]))
-        ends = [np.array(graph.keys, dtype=np.uint64)[graph._ends[rows]] for graph, rows in parts]
-        other._set_variables(np.concatenate(ends))
-        corners = self._corner_factors
-        if corners is not None and len(removed):
-            corners = corners.where(kept)
-        if added is not None and added._corner_factors is not None:
-            corners = added._corner_factors.after(corners, int(kept.sum()))
-        other._corner_factors = corners
+        for name in _BY_FACTOR:
+            setattr(other, name, getattr(self, name)[kept])
+        if self._corner_factors is not None:
+            other._corner_factors = self._corner_factors.where(kept)
+        other._set_variables(np.array(self.keys, dtype=np.uint64)[self._ends[kept]])
         other._set_groups(())
-        if not len(removed):
-            keys, known = (np.array(graph.keys, dtype=np.uint64) for graph in (other, self))
-            other._elimination.follow(self._elimination, np.searchsorted(keys, known))
+        return other
+
+    def _with(self, added: ArrayGraph) -> ArrayGraph:
+        """Return the graph with the factors of another one after its own. It continues the order of elimination."""
+        other = copy(self)
+        for name in _BY_FACTOR:
+            setattr(other, name, np.concatenate([getattr(self, name), getattr(added, name)]))
+        if added._corner_factors is not None:
+            other._corner_factors = added._corner_factors.after(self._corner_factors, len(self))
+        known, new = (np.array(graph.keys, dtype=np.uint64) for graph in (self, added))
+        keys = np.union1d(known, new)
+        rows, new_rows = np.searchsorted(keys, known), np.searchsorted(keys, new)
+        other.keys = keys.tolist()
+        other._ends = np.concatenate([rows[self._ends], new_rows[added._ends]])
+        other.corners = np.zeros(len(keys), dtype=bool)
+        other.corners[rows], other.corners[new_rows] = self.corners, added.corners
+        other._set_groups(())
+        other._elimination.follow(self._elimination, rows)
         return other
 
     def with_divided_information(self, divisors: Floats) -> ArrayGraph:
@@ -250,9 +260,7 @@ class ArrayGraph:
 
     def linearise(self, values: Floats, bias: float) -> LinearGraph:
         """Linearise the graph at some values (n, 3). Raises MapError if the step from there is not determined."""
-        diagonal, below, gradient = self._factorised(values, bias)
-        step = solve(self._pattern, diagonal, below, gradient)[self._pattern.rank]
-        return LinearGraph(step, self._pattern, diagonal, below)
+        return LinearGraph(self._pattern, *self._factorised(values, bias))
 
     def retract(self, values: Floats, step: Floats) -> Floats:
         """Return values (n, 3) moved by a step (n, 3) in the tangent spaces of the variables."""
