@@ -55,7 +55,10 @@ def test_example_prints_the_expected_results(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", WITH_PICTURES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[] if name == "measure_a_recording.py" else pytest.mark.slow) for name in WITH_PICTURES],
+)
 def test_example_prints_the_expected_results_and_draws_a_picture_if_one_is_named(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,6 +75,7 @@ def test_example_prints_the_expected_results_and_draws_a_picture_if_one_is_named
     assert element in picture
 
 
+@pytest.mark.slow
 def test_an_example_runs_in_a_process_of_its_own(tmp_path: Path) -> None:
     command = [sys.executable, "-W", "error", EXAMPLES / "own_sensors.py"]
     result = subprocess.run(command, capture_output=True, text=True, timeout=200, cwd=tmp_path)

@@ -12,6 +12,8 @@ import pytest
 from hatchling.builders.sdist import SdistBuilder
 from hatchling.builders.wheel import WheelBuilder
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 BUILDERS = {"wheel": WheelBuilder, "sdist": SdistBuilder}
 UNREACHABLE = ("NewConnectionError", "Connection refused", "Temporary failure in name resolution", "Network is unreach")
@@ -38,7 +40,6 @@ def test_the_source_distribution_contains_what_is_built_and_tested(tmp_path: Pat
     assert not any(name.startswith((".venv", ".git/", "demo/", "site/")) for name in names)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("kind", BUILDERS)
 def test_the_demo_runs_from_an_empty_environment(kind: str, tmp_path: Path) -> None:

@@ -39,6 +39,8 @@ LONGER = 18.0
 command_line: Any = cache(get_command)
 MENTIONS = mentions()
 WITH_BLOCKS = sorted({block.page for block in blocks()})
+FAST_PAGES = ("README.md", "docs/getting-started.md", "docs/contributing.md", "docs/exports.md", "docs/faq.md")
+"""Those with the first steps, and some with few blocks."""
 
 
 def with_values(words: list[str], values: dict[str, str]) -> list[str]:
@@ -109,7 +111,10 @@ def assert_exists(words: list[str]) -> None:
     assert {word for word in rest if word.startswith("--")} <= known, words
 
 
-@pytest.mark.parametrize("page", WITH_BLOCKS)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=[] if page in FAST_PAGES else pytest.mark.slow) for page in WITH_BLOCKS],
+)
 def test_blocks_run_in_order(page: str, reader: Reader) -> None:
     with simulations_of(DURATION):
         for block in blocks():

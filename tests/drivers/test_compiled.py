@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 
 
+@pytest.mark.slow
 def test_linear_algebra_of_scipy_is_loaded_by_functions_that_call_it_only(tmp_path: Path) -> None:
     code = """if True:
         import sys

@@ -23,8 +23,8 @@ def evaluate(level: Level, *, curved: bool = False) -> Row:
     ("level", "precision", "recall", "corner_recall"),
     [
         (Level(0.01, FINE, 0.0), 0.999, 0.999, 0.994),
-        (Level(0.05, COARSE, 0.0), 0.985, 0.975, 0.94),
-        (Level(0.01, FINE, 0.01), 0.985, 0.993, 0.98),
+        pytest.param(Level(0.05, COARSE, 0.0), 0.985, 0.975, 0.94, marks=pytest.mark.slow),
+        pytest.param(Level(0.01, FINE, 0.01), 0.985, 0.993, 0.98, marks=pytest.mark.slow),
     ],
 )
 def test_features_are_as_accurate_as_documented(

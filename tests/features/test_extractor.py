@@ -211,7 +211,7 @@ def test_range_noise_is_estimated(simulate: Callable[..., object], given_sigma: 
 
 
 @pytest.mark.parametrize("given_degrees", [0.05, 0.5])
-@pytest.mark.parametrize("true_degrees", [0.2, 0.4])
+@pytest.mark.parametrize("true_degrees", [0.2, pytest.param(0.4, marks=pytest.mark.slow)])
 def test_bearing_noise_is_estimated(simulate: Callable[..., object], given_degrees: float, true_degrees: float) -> None:
     extractor = Extractor(Noise(0.01, np.radians(given_degrees)))
     for seed in range(150):

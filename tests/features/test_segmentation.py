@@ -30,8 +30,8 @@ def extract(ranges: np.ndarray, angles: np.ndarray, noise: Noise = FINE, **optio
     ("noise", "outliers", "precision", "recall", "corner_recall", "corner_precision"),
     [
         (FINE, 0.0, 0.99, 0.99, 0.98, 0.98),
-        (FINE, 0.01, 0.97, 0.98, 0.96, 0.97),
-        (COARSE, 0.0, 0.97, 0.96, 0.92, 0.92),
+        pytest.param(FINE, 0.01, 0.97, 0.98, 0.96, 0.97, marks=pytest.mark.slow),
+        pytest.param(COARSE, 0.0, 0.97, 0.96, 0.92, 0.92, marks=pytest.mark.slow),
     ],
 )
 def test_walls_and_corners_of_rooms_are_found(

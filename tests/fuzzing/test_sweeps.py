@@ -8,10 +8,10 @@ import pytest
 
 from .sweeps import SWEEPS, Sweep, failures, make_files
 
+pytestmark = pytest.mark.slow
+
 STEP = 4001
 """Each so many commands of a sweep."""
-LARGE = ("plan.dxf",)
-"""Files with so many values that the commands on them take many seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -21,10 +21,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize(
-    "sweep",
-    [pytest.param(one, id=one.file, marks=[pytest.mark.slow] if one.file in LARGE else []) for one in SWEEPS],
-)
+@pytest.mark.parametrize("sweep", SWEEPS, ids=lambda sweep: sweep.file)
 def test_a_command_on_a_damaged_file_succeeds_or_refuses_it_with_one_line(
     folder: Path, sweep: Sweep, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
+
 KERNEL = """
 from kernel_cache import compile_cached
 
@@ -28,6 +30,7 @@ print(isinstance(triple._cache, DeferredCache), is_cached(triple), isinstance(tr
 """
 
 
+@pytest.mark.slow
 def test_only_the_caches_of_functions_that_are_called_are_opened(
     run_with_kernel: Callable[[str, str], list[str]],
 ) -> None:

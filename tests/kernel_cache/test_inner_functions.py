@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
+
 KERNEL = """
 from functools import partial
 from kernel_cache import compile_cached
@@ -39,6 +41,7 @@ print(doubled(2.0), sum(scaled.stats.cache_hits.values()), scaled(2.0, 2))
 """
 
 
+@pytest.mark.slow
 def test_python_and_compiled_functions_call_them_also_if_they_are_loaded(
     run_with_kernel: Callable[[str, str], list[str]],
 ) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import pytest
+
 from kernel_cache.intermediate_code import parse_when_needed
 
 KERNEL = """
@@ -37,6 +39,7 @@ print(library._shared_module is None, quadruple(1.5), quadruple(2.5), library._s
 )
 
 
+@pytest.mark.slow
 def test_bitcode_of_a_loaded_function_is_parsed_if_another_one_is_compiled_with_it(
     run_with_kernel: Callable[[str, str], list[str]],
 ) -> None:

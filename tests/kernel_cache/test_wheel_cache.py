@@ -15,6 +15,8 @@ import pytest
 import kernel_cache
 from hatch_build import LEVELS
 
+pytestmark = pytest.mark.slow
+
 KERNEL = """
 import numpy as np
 from kernel_cache import compile_cached

@@ -20,6 +20,8 @@ from slam.geometry.pose_covariance import position_sigma
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
 
+pytestmark = pytest.mark.slow
+
 BUILDING = random_building(1295)
 DURATION, LATER = 75.0, 1000.0  # seconds of each drive, and from one to the other
 LIDAR = LidarModel(beams=180, rate=5.0, field_of_view=np.pi, range_max=6.0)

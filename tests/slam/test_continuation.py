@@ -134,6 +134,7 @@ def test_a_run_of_an_earlier_version_continues(
     assert slam.session.starts == [0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lidar", "interrupted"),
     [
@@ -194,6 +195,7 @@ def test_a_saved_state_can_be_continued_and_does_not_change_the_run(
     assert np.hypot(*(finished.poses - uninterrupted.poses)[:, :2].T).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_keeping_all_features_does_not_change_the_result() -> None:
     """`wclm run` keeps them, `wclm live` does not; the trajectories are identical."""
     runs, laps = [], list(Simulation("room", seed=1, duration=80.0, lidar=LidarModel(beams=180, rate=2.5)))  # two
@@ -258,6 +260,7 @@ def test_a_robot_that_stood_while_the_program_was_restarted_is_soon_placed_where
     assert error(finished, second, mapped[1], first) < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("world", "begin", "known"), [("office", 2.0, True), ("museum", 22.0, False)])
 def test_a_robot_that_drove_while_the_program_was_restarted_is_lost_until_it_is_recognised(
     world: str, begin: float, known: bool, tmp_path: Path
@@ -280,6 +283,7 @@ def test_a_robot_that_drove_while_the_program_was_restarted_is_lost_until_it_is_
     assert (slam.state.status is LocalisationStatus.LOST) is not known
 
 
+@pytest.mark.slow
 def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped: tuple[Path, Finished]) -> None:
     left, before = mapped
     second = drive("office", 2, 12.0, 24.0, LATER)
@@ -292,6 +296,7 @@ def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped
     assert error(finished, second, before, first) < 0.01
 
 
+@pytest.mark.slow
 def test_an_optimised_session_publishes_its_map_and_residuals(mapped: tuple[Path, Finished]) -> None:
     listener = EventRecorder()
     optimised = optimise(read_session(mapped[0]), [listener])
@@ -301,7 +306,7 @@ def test_an_optimised_session_publishes_its_map_and_residuals(mapped: tuple[Path
     assert finished is optimised.finished
 
 
-@pytest.mark.parametrize("frozen", [False, True])
+@pytest.mark.parametrize("frozen", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_a_continuation_without_scans_is_an_error(mapped: tuple[Path, Finished], frozen: bool) -> None:
     left, _ = mapped
     second = [m for m in drive("office", 2, 0.0, 1.0, LATER) if not isinstance(m, Scan)]
@@ -310,6 +315,7 @@ def test_a_continuation_without_scans_is_an_error(mapped: tuple[Path, Finished],
             run(messages, left, frozen=frozen)
 
 
+@pytest.mark.slow
 def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_its_trajectory(mapped: tuple[Path, Finished]) -> None:
     """It is relocalised, then kidnapped to another building."""
     left, before = mapped
@@ -323,6 +329,7 @@ def test_a_robot_that_ends_lost_on_a_frozen_map_keeps_its_trajectory(mapped: tup
     assert len(finished.walls) == len(before.walls)
 
 
+@pytest.mark.slow
 def test_a_run_in_another_building_is_mapped_alone(mapped: tuple[Path, Finished]) -> None:
     left, _ = mapped
     elsewhere = drive("room", 3, 0.0, 6.0, LATER)

@@ -19,7 +19,7 @@ from slam.io.tum import Trajectory
 SHORT_SIGHTED = LidarModel(beams=180, range_max=12.0)
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_bare_corridor_leaves_the_way_along_it_to_odometry(seed: int) -> None:
     listener, truth = EventRecorder(), []
     slam = Slam(sinks=[listener])
@@ -57,6 +57,7 @@ def largest_error(messages: Iterable[Message], truth: Trajectory) -> float:
     return float(score_reference(Trajectory(result.stamps, result.poses), truth).figures()["ate_max"])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate", [10.0, 40.0])
 def test_the_way_along_a_corridor_is_interpolated_over_a_gap_of_odometry(rate: float) -> None:
     """The wheels count on while their readings are lost, as on a disturbed connection."""

@@ -16,7 +16,7 @@ LIDAR = LidarModel(beams=500, rate=5.4, field_of_view=float(np.radians(270.0)), 
 DURATION = 20.0
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2)), 3])
 def test_people_who_walk_along_a_corridor_with_the_robot_do_not_hold_it_back(seed: int) -> None:
     world = add_crowd(load_world("corridor"), 4, np.random.default_rng(seed), DURATION)
     drive, slam = Simulation(world, seed, DURATION, LIDAR), Slam(Config())

@@ -40,6 +40,7 @@ def largest_error(messages: list[Message], truth: Trajectory) -> float:
     return float(score_reference(Trajectory(finished.stamps[now], finished.poses[now]), truth).figures()["ate_max"])
 
 
+@pytest.mark.slow
 def test_a_base_that_boots_while_the_robot_moves_costs_little_accuracy(drive: list[Message], truth: Trajectory) -> None:
     """Nothing is known of the motion meanwhile but what follows it, which differs in some of these places."""
     errors = []

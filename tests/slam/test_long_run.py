@@ -120,6 +120,7 @@ def forth_and_back(seconds: float, legs: int) -> Iterator[list[Odometry | Scan]]
         yield messages
 
 
+@pytest.mark.slow
 def test_features_in_familiar_places_are_not_kept_wherever_the_last_keyframe_is() -> None:
     """The robot drives one way forth and back until all of it is familiar."""
     slam, keyframes, kept = Slam(), list[int](), list[int]()
@@ -133,6 +134,7 @@ def test_features_in_familiar_places_are_not_kept_wherever_the_last_keyframe_is(
     assert kept[-1] - kept[-3] <= 4 * new  # of a new keyframe, and of the scans that waited for decisions before it
 
 
+@pytest.mark.slow
 def test_a_robot_on_patrol_makes_hardly_any_more_keyframes() -> None:
     """Where no keyframes are made, driving on counts: keyframes of many laps ago are of an earlier visit."""
     lap = Simulation("room", seed=0).trajectory.duration
@@ -155,6 +157,7 @@ def test_a_robot_that_shuttles_along_a_short_way_makes_no_more_keyframes() -> No
     assert keyframes[-1] == keyframes[6]
 
 
+@pytest.mark.slow
 def test_a_place_is_familiar_only_by_linked_keyframes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Relative to others, which are near in an estimate with drift, the pose would close a loop without a decision."""
     monkeypatch.setattr(keyframe_links, "_is_well_known", lambda covariance: False)

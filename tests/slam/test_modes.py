@@ -77,6 +77,7 @@ def test_the_map_stays_as_it_is_between_and_the_path_has_no_gap(messages: list[M
     assert len(read_session(tmp_path).scans) == sum(isinstance(message, Scan) for message in messages)
 
 
+@pytest.mark.slow
 def test_modes_that_are_set_again_change_nothing(messages: list[Message]) -> None:
     paths = []
     for again in (False, True):
@@ -113,6 +114,7 @@ def later(messages: list[Message], begin: float) -> list[Message]:
     return found
 
 
+@pytest.mark.slow
 def test_a_map_that_was_localised_in_is_extended(messages: list[Message], session: StoredSession) -> None:
     slam = Slam(resumed=session.copy(), frozen=True)
     keyframes = slam.slam_state.mapper.keyframe_count
@@ -131,6 +133,7 @@ def test_a_map_that_was_localised_in_is_extended(messages: list[Message], sessio
     assert largest_error(replace(finished, stamps=finished.stamps[now], poses=finished.poses[now]), second) < 0.05
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_lost_maps_in_a_new_part(session: StoredSession) -> None:
     """It is in another building, of which a map alone remains, as the session's was never recognised."""
     slam = Slam(resumed=session.copy(), frozen=True)
@@ -147,6 +150,7 @@ def test_a_robot_that_is_lost_maps_in_a_new_part(session: StoredSession) -> None
     assert largest_error(finished, elsewhere) < 0.03
 
 
+@pytest.mark.slow
 def test_only_features_of_scans_that_were_localised_are_dropped(
     messages: list[Message], monkeypatch: pytest.MonkeyPatch
 ) -> None:

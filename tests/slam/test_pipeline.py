@@ -99,7 +99,9 @@ def test_odometry_that_contradicts_a_scan_is_a_warning_only_if_it_is_far_off(
     assert [event.level for event in listener.of(Notice) if "odometry" in event.text] == levels
 
 
-@pytest.mark.parametrize(("world", "duration", "bound"), [("room", 20.0, 0.006), ("office", 20.0, 0.015)])
+@pytest.mark.parametrize(
+    ("world", "duration", "bound"), [("room", 20.0, 0.006), pytest.param("office", 20.0, 0.015, marks=pytest.mark.slow)]
+)
 def test_simulated_drives_are_tracked_to_millimetres(world: str, duration: float, bound: float) -> None:
     messages = list(Simulation(world, seed=1, duration=duration, lidar=LidarModel(beams=180, rate=4.0)))
     finished = run(messages)
@@ -224,11 +226,12 @@ def test_without_scans_or_odometry_there_is_no_map(drive: list[Message]) -> None
         run(message for message in drive if isinstance(message, Scan))
 
 
+@pytest.mark.slow
 def test_duplicate_messages_do_not_degrade_the_trajectory(drive: list[Message]) -> None:
     assert error(run(message for message in without_ground_truth(drive) for _ in range(2)), drive) < 0.01
 
 
-@pytest.mark.parametrize("resolution", [0.25, 1.0])
+@pytest.mark.parametrize("resolution", [pytest.param(0.25, marks=pytest.mark.slow), 1.0])
 def test_stamps_may_be_coarser_than_scans_are_frequent(
     drive_with_frequent_scans: list[Message], result_with_frequent_scans: Finished, resolution: float
 ) -> None:
@@ -239,7 +242,14 @@ def test_stamps_may_be_coarser_than_scans_are_frequent(
     np.testing.assert_allclose(finished.poses[-1], result_with_frequent_scans.poses[-1], atol=0.1)
 
 
-@pytest.mark.parametrize("kind", ["no returns", "no beams", "one beam", "infinite", "behind the wall"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "no beams",
+        "infinite",
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("no returns", "one beam", "behind the wall")),
+    ],
+)
 def test_damaged_scans_do_not_degrade_the_trajectory(drive: list[Message], kind: str) -> None:
     def strange(scan: Scan) -> Scan:
         nothing = np.zeros(0)
@@ -407,13 +417,17 @@ def test_the_session_is_available_after_finish_only() -> None:
         _ = Slam().session
 
 
-@pytest.mark.parametrize("sigma", [0.03, 0.05, 0.099999])
+@pytest.mark.parametrize(
+    "sigma", [pytest.param(0.03, marks=pytest.mark.slow), pytest.param(0.05, marks=pytest.mark.slow), 0.099999]
+)
 def test_the_largest_bearing_noise_that_can_be_set_still_gives_a_trajectory(sigma: float) -> None:
     messages = list(Simulation("room", seed=3, duration=6.0))
     assert error(run(messages, Config.model_validate({"lidar": {"sigma_bearing": sigma}})), messages) < 0.012
 
 
-@pytest.mark.parametrize("reading", [5.0, 6.0, 0.0, -1.0, np.inf])
+@pytest.mark.parametrize(
+    "reading", [*(pytest.param(reading, marks=pytest.mark.slow) for reading in (5.0, 6.0, -1.0)), 0.0, np.inf]
+)
 def test_readings_outside_the_stated_limits_are_no_returns(reading: float) -> None:
     """Whatever stands for a no-return, also the stated greatest range, the map is that of NaN."""
 

@@ -141,9 +141,13 @@ MOTIONS = {
     "national grid": np.array([5.0e5, 5.5e6, 2.0]),
 }
 """Poses of the frame of the building in that of its plan."""
+EACH_MOTION = [
+    pytest.param(motion, id=name, marks=[] if name == "national grid" else pytest.mark.slow)
+    for name, motion in MOTIONS.items()
+]
 
 
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+@pytest.mark.parametrize("motion", EACH_MOTION)
 def test_a_plan_may_have_any_frame_to_map_in_it(motion: se2.Pose, short_drive: list[Message]) -> None:
     slam = Slam(plan=moved_room(motion))
     finished = run(short_drive, slam)
@@ -153,7 +157,7 @@ def test_a_plan_may_have_any_frame_to_map_in_it(motion: se2.Pose, short_drive: l
     assert errors(in_building, short_drive).max() < 0.01
 
 
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
+@pytest.mark.parametrize("motion", EACH_MOTION)
 def test_a_plan_may_have_any_frame_to_localise_in_it(motion: se2.Pose, short_drive: list[Message]) -> None:
     finished = run(short_drive, Slam(resumed=plan_session(moved_room(motion), Config()), frozen=True))
     in_building = replace(finished, poses=se2.compose(se2.inverse(motion), finished.poses))
@@ -161,6 +165,7 @@ def test_a_plan_may_have_any_frame_to_localise_in_it(motion: se2.Pose, short_dri
     assert errors(in_building, short_drive).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_wrong_plan_does_not_bend_the_map_and_is_reported(drive: list[Message], without_plan: Finished) -> None:
     plan = office(wrong=True)
     slam = Slam(plan=plan, start=START + np.array([0.2, -0.2, 0.1]))
@@ -189,7 +194,7 @@ def grid_map(messages: Sequence[Message], path: Path) -> Path:
     return path.with_suffix(".yaml")
 
 
-@pytest.mark.parametrize("kind", ["drawing", "grid map"])
+@pytest.mark.parametrize("kind", ["drawing", pytest.param("grid map", marks=pytest.mark.slow)])
 def test_a_robot_localises_in_a_plan_from_anywhere(sparse_drive: list[Message], kind: str, tmp_path: Path) -> None:
     plan, begin, end = office(), 5.0, 12.0
     if kind == "grid map":
@@ -215,6 +220,7 @@ def drive_round_the_square(seed: int, rate: float, reach: float) -> tuple[list[M
     return messages, Slam(Config(loop_closure=LoopClosureConfig(enabled=False)), plan=plan, start=start)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns(seed: int) -> None:
     """Along the corridor on which it returns, the drift is half a metre, while both sides agree with the plan."""
@@ -230,6 +236,7 @@ def test_drift_where_the_plan_shows_nothing_is_corrected_when_the_robot_returns(
     assert final[-1] < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "rate"), [(2, 5.5), (3, 2.5), (3, 4.5)])
 def test_a_robot_that_turned_blindly_is_recognised_when_it_returns(seed: int, rate: float) -> None:
     """In halls wider than the range it turns by odometry alone: behind them the map is off by more than 5 m."""
@@ -237,6 +244,7 @@ def test_a_robot_that_turned_blindly_is_recognised_when_it_returns(seed: int, ra
     assert errors(run(messages, slam), messages).max() < 0.5
 
 
+@pytest.mark.slow
 def test_a_plan_that_is_localised_in_can_be_extended(sparse_drive: list[Message], tmp_path: Path) -> None:
     """The eastern part of the office is not in the plan. The path has nothing but the drive, also when refined."""
     segments = load_world("office").segments.reshape(-1, 2, 2)
@@ -261,6 +269,7 @@ def test_a_plan_that_is_localised_in_can_be_extended(sparse_drive: list[Message]
     assert optimise(read_session(tmp_path)).finished.stamps[0] >= sparse_drive[0].stamp
 
 
+@pytest.mark.slow
 def test_a_refined_map_is_supported_by_the_plan(sparse_drive: list[Message]) -> None:
     messages = [message for message in sparse_drive if message.stamp < 10.0]
     slam = Slam(refine=True, plan=office(), start=START)
@@ -270,6 +279,7 @@ def test_a_refined_map_is_supported_by_the_plan(sparse_drive: list[Message]) -> 
     assert errors(finished, messages).max() < 0.02
 
 
+@pytest.mark.slow
 def test_a_plan_of_another_building_is_left_out(sparse_drive: list[Message]) -> None:
     segments = load_world("museum").segments.reshape(-1, 2, 2)
     museum = build_plan_map(Plan("museum", segments, np.zeros(len(segments), dtype=bool), 1e-3), SIGMAS)

@@ -45,6 +45,7 @@ def extrapolated() -> tuple[list[ExtrapolatedPose], dict[float, se2.Pose], bytes
     return poses, truth, slam.finish().poses.tobytes()
 
 
+@pytest.mark.slow
 def test_the_estimate_does_not_depend_on_the_order_of_arrival(
     extrapolated: tuple[list[ExtrapolatedPose], dict[float, se2.Pose], bytes],
 ) -> None:

@@ -40,6 +40,7 @@ def over_ramps(drive: Simulation, seed: int) -> Iterator[Message]:
         yield message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("world", "seed"), [("museum", 1), ("museum", 2)])
 def test_the_floor_ahead_does_not_move_the_robot(world: str, seed: int) -> None:
     drive, slam = Simulation(load_world(world), seed, DURATION, LIDAR), Slam(Config())

@@ -53,6 +53,7 @@ def test_a_saved_recording_has_the_files_of_wclm_run(wclm: Any, tmp_path: Path) 
         assert ran[name] == saved[name], name
 
 
+@pytest.mark.slow
 def test_all_commands_read_a_run_whose_measurements_are_not_recorded(
     wclm: Any, tmp_path: Path, messages: list[Message]
 ) -> None:
@@ -73,7 +74,7 @@ def test_all_commands_read_a_run_whose_measurements_are_not_recorded(
         assert wclm(*command).exit_code == 0, command
 
 
-@pytest.mark.parametrize("frozen", [False, True])
+@pytest.mark.parametrize("frozen", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_saved_run_is_continued_or_localised_in(tmp_path: Path, messages: list[Message], *, frozen: bool) -> None:
     walls = len(save(slam.Slam(), messages, tmp_path / "first").walls)
     second = slam.Slam(resumed=read_session(tmp_path / "first"), frozen=frozen)

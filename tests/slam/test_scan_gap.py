@@ -20,6 +20,8 @@ from slam.graph.factors import FactorKind
 
 from .checks.drives import LIDAR
 
+pytestmark = pytest.mark.slow
+
 DURATION = 75.0  # seconds
 GAPS = (25.5, 36.0), (59.5, 69.5)  # in which it turns by 179 degrees: on its first lap, and on its second one
 TURNING = 1.09  # factor by which odometry measures turns too large

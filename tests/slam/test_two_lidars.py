@@ -70,6 +70,7 @@ def test_the_map_is_better_than_with_one(drive: list[Message], result: Finished)
     assert "lost" not in result.summary
 
 
+@pytest.mark.slow
 def test_a_clock_of_its_own_is_compensated(drive: list[Message], result: Finished) -> None:
     def late(seconds: float) -> list[Message]:
         messages = (m if is_first(m) else replace(m, stamp=m.stamp + seconds) for m in drive)
@@ -102,6 +103,7 @@ def recording(drive: list[Message], tmp_path_factory: pytest.TempPathFactory) ->
     return path
 
 
+@pytest.mark.slow
 def test_a_recording_contains_both(drive: list[Message], result: Finished, recording: Path) -> None:
     source = open_source(recording, TOPICS)
     messages = list(source)
@@ -120,6 +122,7 @@ def test_the_topics_must_be_named(recording: Path) -> None:
     assert all(map(is_first, open_source(recording, Config())))
 
 
+@pytest.mark.slow
 def test_one_call_maps_both(result: Finished, recording: Path) -> None:
     np.testing.assert_array_equal(slam.run(recording, TOPICS).finished.poses, result.poses)
 
@@ -131,6 +134,7 @@ def test_scans_of_both_are_placed_in_the_map(drive: list[Message], result: Finis
     assert np.hypot(*(ahead.origin - astern.origin)) == pytest.approx(0.45, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_run_in_two_sessions(drive: list[Message], result: Finished, tmp_path: Path) -> None:
     """The second session takes over scans of both lidars that waited for odometry at the end of the first."""
     half = next(k for k, m in enumerate(drive) if m.stamp > 5.0 and not is_first(m)) + 1

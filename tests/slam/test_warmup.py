@@ -78,6 +78,7 @@ finally:  # it exits
 """
 
 
+@pytest.mark.slow
 def test_nothing_is_compiled_to_map_a_recording_with_a_review_log(tmp_path: Path) -> None:
     command = [sys.executable, "-c", COMPILED + COMMAND, str(tmp_path)]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=250)

@@ -95,6 +95,7 @@ def test_messages_of_both_devices_are_complete_and_in_order(peer: Any) -> None:
         next(iter(source))
 
 
+@pytest.mark.slow
 def test_all_counters_are_reported_and_devices_are_halted(peer: Any) -> None:
     with Acquisition(parse_devices(peer.spec)) as acquisition:
         receive_for(acquisition, 1.0)
@@ -121,6 +122,7 @@ def test_all_counters_are_reported_and_devices_are_halted(peer: Any) -> None:
     assert not any("Velocity" in event.get("what", "") for event in peer.events)
 
 
+@pytest.mark.slow
 def test_stamps_are_right_while_the_consumer_is_busy(make_peer: Callable[..., Any]) -> None:
     """Two milliseconds at the 99th percentile, unless the whole computer was suspended.
 
@@ -219,6 +221,7 @@ def test_damaged_bytes_lose_only_their_own_packets(make_peer: Callable[..., Any]
             assert np.nanmax(np.abs(message.ranges - own)) < 0.0021
 
 
+@pytest.mark.slow
 def test_unplugged_devices_are_reconnected(peer: Any) -> None:
     with Acquisition(parse_devices(peer.spec)) as acquisition:
         receive_for(acquisition, 0.5)
@@ -236,12 +239,13 @@ def test_unplugged_devices_are_reconnected(peer: Any) -> None:
         assert device.problem.startswith(device.port)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "silent"),
     [
         ("restart lidar", True),
-        pytest.param("stall base 1.5", True, marks=pytest.mark.slow),
-        pytest.param("garbage lidar", False, marks=pytest.mark.slow),
+        ("stall base 1.5", True),
+        ("garbage lidar", False),
     ],
 )
 def test_faults_are_counted_and_devices_recover(peer: Any, fault: str, silent: bool) -> None:
@@ -270,6 +274,7 @@ def test_a_lidar_that_reports_an_error_is_reset(make_peer: Callable[..., Any]) -
     assert sum(event["event"] == "reset" for event in peer.events) == 1
 
 
+@pytest.mark.slow
 def test_an_unresponsive_device_raises_a_one_line_error(make_peer: Callable[..., Any]) -> None:
     peer = make_peer("--deaf")
     with (
@@ -335,6 +340,7 @@ def test_devices_are_halted_when_the_program_ends_and_can_be_restarted(peer: Any
         assert any(isinstance(message, Scan) for message in receive_for(acquisition, 1.0))
 
 
+@pytest.mark.slow
 def test_a_lidar_that_is_still_streaming_is_restarted(peer: Any) -> None:
     """The state after a crash of all processes."""
     from drivers.lidars.rplidar.requests import express_scan

@@ -223,8 +223,13 @@ def assert_complete(run: Run) -> None:
 @pytest.mark.parametrize("robot", ["clockless", "clocked"])
 @pytest.mark.parametrize(
     ("chance", "longest", "freezes"),
-    [(0.0, 0.0, 0), (0.02, 0.04, 0), (0.1, 0.09, 0), (0.02, 0.2, 0), (0.01, 0.03, 2)],
-    ids=["idle", "busy", "crowded", "stumbling", "freezing"],
+    [
+        pytest.param(0.0, 0.0, 0, id="idle", marks=pytest.mark.slow),
+        pytest.param(0.02, 0.04, 0, id="busy", marks=pytest.mark.slow),
+        pytest.param(0.1, 0.09, 0, id="crowded"),
+        pytest.param(0.02, 0.2, 0, id="stumbling", marks=pytest.mark.slow),
+        pytest.param(0.01, 0.03, 2, id="freezing", marks=pytest.mark.slow),
+    ],
 )
 def test_stamps_and_messages_of_a_busy_host_are_right(
     robot: str, chance: float, longest: float, freezes: int, monkeypatch: pytest.MonkeyPatch
@@ -239,7 +244,7 @@ def test_stamps_and_messages_of_a_busy_host_are_right(
         assert run.errors.max() < (0.02 if longest else 0.002)  # the delay is unknown before the first prompt read
 
 
-@pytest.mark.parametrize(("chance", "longest"), [(0.6, 0.05), (0.6, 0.1)])
+@pytest.mark.parametrize(("chance", "longest"), [pytest.param(0.6, 0.05, marks=pytest.mark.slow), (0.6, 0.1)])
 def test_a_heavily_loaded_host_is_not_taken_for_lost_packets(
     chance: float, longest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -252,6 +257,7 @@ def test_a_heavily_loaded_host_is_not_taken_for_lost_packets(
         assert np.diff(scans).min() > 0.9 / TURNS
 
 
+@pytest.mark.slow
 def test_bytes_that_wait_for_several_reads_are_not_taken_for_lost_packets(monkeypatch: pytest.MonkeyPatch) -> None:
     """In some tenths of a second more bytes arrive than one read returns, and all of these reads are late."""
     for seed in range(8):
@@ -262,7 +268,7 @@ def test_bytes_that_wait_for_several_reads_are_not_taken_for_lost_packets(monkey
 
 
 @pytest.mark.parametrize("robot", ["clockless", "clocked"])
-@pytest.mark.parametrize(("chance", "longest"), [(0.6, 0.1), (0.3, 1.0)])
+@pytest.mark.parametrize(("chance", "longest"), [pytest.param(0.6, 0.1, marks=pytest.mark.slow), (0.3, 1.0)])
 def test_messages_stay_in_order_on_a_heavily_loaded_host(
     robot: str, chance: float, longest: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -74,7 +74,9 @@ def make_peer(kind: str) -> BasePeer:
     return peer
 
 
-@pytest.mark.parametrize("kind", BASES)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[] if kind in ("arduino", "wheels") else pytest.mark.slow) for kind in BASES]
+)
 def test_a_base_drives_while_commands_come_and_stops_without_them(kind: str) -> None:
     peer = make_peer(kind)
     with plugged(peer) as path:
@@ -160,7 +162,7 @@ def test_driving_must_be_requested_and_requires_one_base() -> None:
         Acquisition(parse_devices("create2:/dev/nothing"), driving=DriveLimits()).drive(math.nan, 0.0)
 
 
-@pytest.mark.parametrize("fault", [signal.SIGKILL, signal.SIGTSTP, "exit"])
+@pytest.mark.parametrize("fault", [signal.SIGKILL, pytest.param(signal.SIGTSTP, marks=pytest.mark.slow), "exit"])
 def test_the_base_stops_if_a_process_ends(fault: signal.Signals | str) -> None:
     """Killing the reading process, Ctrl-Z while it is driven, and the end of the acquisition."""
     peer = make_peer("create2")

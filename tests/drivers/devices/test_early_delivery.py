@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -130,6 +131,7 @@ def test_a_live_consumer_gets_what_is_recorded(peer: Any, tmp_path: Path) -> Non
         assert own == [message.stamp for message in recorded if isinstance(message, kind)]
 
 
+@pytest.mark.slow
 def test_scans_are_left_out_of_recording_and_run_while_paused(peer: Any, tmp_path: Path) -> None:
     path, before, after = tmp_path / "drive.mcap", [], []
     with Acquisition(parse_devices(peer.spec), path, in_order=False) as acquisition:

@@ -110,7 +110,9 @@ def test_read_until_advances_after_messages_were_put() -> None:
     assert supervisor.read_until == math.inf
 
 
-@pytest.mark.parametrize(("model", "duties"), [(0x18, []), (0x28, [660, 0])], ids=["A1", "A2"])
+@pytest.mark.parametrize(
+    ("model", "duties"), [(0x18, []), pytest.param(0x28, [660, 0], marks=pytest.mark.slow)], ids=["A1", "A2"]
+)
 def test_old_rplidars_scan_and_stop_their_motors(model: int, duties: list[int]) -> None:
     peer = OldRplidar(model)
     with plugged(peer) as path:
@@ -200,7 +202,7 @@ def test_a_lidar_is_read_over_tcp() -> None:
     assert len(messages) > 5
 
 
-@pytest.mark.parametrize("address", ["given", "auto"])
+@pytest.mark.parametrize("address", ["given", pytest.param("auto", marks=pytest.mark.slow)])
 def test_a_lost_device_is_searched_only_where_the_user_allowed_it(
     address: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -88,6 +88,7 @@ def test_two_packages_with_one_kind_are_named(site: Path) -> None:
         parse_device("turner:/dev/ttyUSB0")
 
 
+@pytest.mark.slow
 def test_the_example_of_a_package_passes_its_own_tests(tmp_path: Path) -> None:
     """They read the emulated lidar in a process of its own, as `wclm live` does."""
     project = tomllib.loads((EXAMPLE / "pyproject.toml").read_text())["project"]

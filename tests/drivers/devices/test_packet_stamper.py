@@ -35,7 +35,7 @@ def stream(kind: str) -> tuple[bytes, int, int]:
 
 
 @pytest.mark.parametrize("kind", ["dense", "standard"])
-@pytest.mark.parametrize("lost", [0.0, 0.5])
+@pytest.mark.parametrize("lost", [pytest.param(0.0, marks=pytest.mark.slow), 0.5])
 def test_stamps_are_the_times_of_measurement(kind: str, lost: float) -> None:
     data, size, count = stream(kind)
     random = np.random.default_rng(3)
@@ -89,7 +89,9 @@ def test_a_host_that_is_busy_at_first_does_not_delay_stamps() -> None:
     assert np.abs(np.concatenate([errors_of(*one) for one in stamped])).max() < 0.001
 
 
-@pytest.mark.parametrize("factor", [0.01, 0.5, 2.0, 100.0, 1e5])
+@pytest.mark.parametrize(
+    "factor", [0.01, 0.5, *(pytest.param(factor, marks=pytest.mark.slow) for factor in (2.0, 100.0, 1e5))]
+)
 def test_packets_are_not_stamped_after_their_arrival_if_the_period_is_wrong(factor: float) -> None:
     data, size, count = stream("dense")
     decoder, stamper = decoder_for(0x85, 1 / RATE, BAUD, False), PacketStamper(factor * count / RATE, size)

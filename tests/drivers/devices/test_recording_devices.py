@@ -68,7 +68,7 @@ def assert_last_second_is_lost_at_most(peer: Any, path: Path, after: float) -> N
     raise AssertionError(f"lost {losses} s")
 
 
-@pytest.mark.parametrize("after", [0.3, 1.15])
+@pytest.mark.parametrize("after", [0.3, pytest.param(1.15, marks=pytest.mark.slow)])
 def test_a_killed_recorder_loses_the_last_second_at_most(peer: Any, tmp_path: Path, after: float) -> None:
     assert_last_second_is_lost_at_most(peer, tmp_path / "a.mcap", after)
 
@@ -180,6 +180,7 @@ def test_the_writer_keeps_whole_chunks_on_a_full_disk(tmp_path: Path, monkeypatc
     writer.close()
 
 
+@pytest.mark.slow
 def test_a_recording_that_never_started_leaves_no_file(tmp_path: Path, make_peer: Callable[..., Any]) -> None:
     peer = make_peer()
     peer.lidar.unlink()
@@ -190,6 +191,7 @@ def test_a_recording_that_never_started_leaves_no_file(tmp_path: Path, make_peer
     assert not (tmp_path / "a.mcap").exists()
 
 
+@pytest.mark.slow
 def test_watching_devices_ends_with_all_counters(peer: Any) -> None:
     command = [*WCLM, "devices", f"rplidar:{peer.lidar}", f"create2:{peer.base}", "--watch", "--for", "0.8"]
     result = subprocess.run(command, capture_output=True, text=True, timeout=120)

@@ -60,7 +60,9 @@ def dead_reckon(bench: Bench, host: Host, protocol: WheelBase, seconds: float) -
     return np.array(stamps), np.array(poses), odometer
 
 
-@pytest.mark.parametrize("name", PROTOCOLS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "arduino" else []) for name in PROTOCOLS]
+)
 def test_odometry_follows_the_driven_path(bench: MakeBench, name: str) -> None:
     robot = bench(base=name)
     host, protocol = started(robot, name)

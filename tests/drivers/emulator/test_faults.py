@@ -313,6 +313,7 @@ def test_unwritable_files_are_errors(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_bytes_keep_their_pace_in_real_time(tmp_path: Path) -> None:
     setup = EmulatorSetup("room", noise=EXACT, lidar_port=tmp_path / "lidar", base_port=tmp_path / "base")
     with Emulator(setup) as emulator:

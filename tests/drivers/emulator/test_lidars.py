@@ -73,7 +73,9 @@ def scans_of(measurements: Measurements, stamps: Floats, whole: bool = False) ->
     return RevolutionAssembler(0.02, 40.0, whole_packets=whole).add(measurements, stamps)
 
 
-@pytest.mark.parametrize(("lidar", "mode"), [*RPLIDARS, ("ld06", ""), ("stl-27l", ""), ("scip", "")])
+@pytest.mark.parametrize(
+    ("lidar", "mode"), [*RPLIDARS, ("ld06", ""), pytest.param("stl-27l", "", marks=pytest.mark.slow), ("scip", "")]
+)
 def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: str) -> None:
     robot = bench(lidar=lidar)
     robot.go(1.0)  # the robot stands still at first
@@ -104,7 +106,7 @@ def test_decoded_ranges_are_the_true_ranges(bench: MakeBench, lidar: str, mode: 
         ("rplidar-s1", "DenseBoost", 9200.0, 10.0),
         ("rplidar-a1", "Sensitivity", 1e6 / 127, 7.5),
         ("ld06", "", 4500.0, 10.0),
-        ("stl-27l", "", 21600.0, 10.0),
+        pytest.param("stl-27l", "", 21600.0, 10.0, marks=pytest.mark.slow),
     ],
 )
 def test_lidars_turn_clockwise_at_their_rate(

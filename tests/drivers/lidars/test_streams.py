@@ -186,7 +186,7 @@ def test_faults_lose_few_points_and_make_hardly_any_wrong(kind: str, stream_of: 
     assert lost <= (3 if standard else 2.1 * stream_of(kind, 1).samples)
 
 
-@pytest.mark.parametrize("kind", ["standard-a1", "standard-c1"])
+@pytest.mark.parametrize("kind", [pytest.param("standard-a1", marks=pytest.mark.slow), "standard-c1"])
 @pytest.mark.parametrize(("kinds", "bound"), [("d", 0.05), ("i", 0.15), ("f", 0.8)])
 def test_faults_do_not_spread_in_nodes_without_checksum(
     kind: str, stream_of: StreamOf, kinds: str, bound: float

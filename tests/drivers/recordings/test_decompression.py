@@ -72,7 +72,9 @@ def test_a_chunk_of_an_mcap_file_that_decompresses_to_gigabytes_is_refused(tmp_p
     assert memory < 500
 
 
-@pytest.mark.parametrize(("suffix", "compress"), [(".gz", gzip.compress), (".bz2", bz2.compress)])
+@pytest.mark.parametrize(
+    ("suffix", "compress"), [(".gz", gzip.compress), pytest.param(".bz2", bz2.compress, marks=pytest.mark.slow)]
+)
 def test_a_log_that_decompresses_to_gigabytes_is_refused(
     tmp_path: Path, suffix: str, compress: Callable[[bytes], bytes]
 ) -> None:

@@ -88,7 +88,9 @@ def test_far_no_returns_are_no_reason_for_doubt(office: list[Message]) -> None:
     assert find(far) == (1.0, SourceReport())
 
 
-@pytest.mark.parametrize("limit", [40.0, 40_000.0], ids=["limit in metres", "limit in millimetres"])
+@pytest.mark.parametrize(
+    "limit", [pytest.param(40.0, marks=pytest.mark.slow), 40_000.0], ids=["limit in metres", "limit in millimetres"]
+)
 def test_bag_in_millimetres_is_read_in_metres(tmp_path: Path, office: list[Message], limit: float) -> None:
     in_millimetres = [
         replace(message, ranges=np.round(message.ranges * 1000.0), range_min=0.0, range_max=limit)

@@ -54,7 +54,7 @@ def robot(name: str, drive: list[Message], on_tf: bool) -> list[Stored]:
 
 
 @pytest.mark.parametrize("on_tf", [False, True])
-@pytest.mark.parametrize("name", ["one", "two"])
+@pytest.mark.parametrize("name", ["one", pytest.param("two", marks=pytest.mark.slow)])
 def test_each_robot_is_read_with_its_own_odometry_and_mount(
     tmp_path: Path, drive: list[Message], write_bag: Callable[[Path, list[Stored]], Path], name: str, on_tf: bool
 ) -> None:

@@ -41,7 +41,7 @@ def wait_until(condition: Callable[[], bool], each: Callable[[], None] = lambda:
         time.sleep(0.05)
 
 
-@pytest.mark.parametrize("stamped", [False, True])
+@pytest.mark.parametrize("stamped", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_velocities_of_the_topic_drive_the_base_until_they_cease(stamped: bool) -> None:
     peer = KINDS["wheels"][0]()
     assert isinstance(peer, BasePeer)

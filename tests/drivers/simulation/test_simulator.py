@@ -167,7 +167,13 @@ def test_parameters_are_complete() -> None:
     assert set(parameters) == {"world", "seed", "duration", "lidar", "wheels", "mount", "biases"}
 
 
-@pytest.mark.parametrize("name", world_names())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[] if name in ("museum", "office", "room") else pytest.mark.slow)
+        for name in world_names()
+    ],
+)
 def test_worlds_can_be_driven_through(name: str) -> None:
     simulation = Simulation(name)
     poses = simulation.trajectory.poses[::5]

@@ -53,7 +53,7 @@ def with_offsets(drive: Iterable[Message], sweep: float) -> list[Message]:
 
 
 @pytest.mark.parametrize("clockwise", [False, True])
-@pytest.mark.parametrize("stated", [0.0, 1e-4])
+@pytest.mark.parametrize("stated", [0.0, pytest.param(1e-4, marks=pytest.mark.slow)])
 def test_a_lidar_that_turns_is_recognised_if_no_times_or_those_of_a_buffer_are_stated(
     clockwise: bool, stated: float
 ) -> None:
@@ -74,6 +74,7 @@ def drive_with_scans_of_one_moment() -> list[Message]:
     return with_offsets(sorted([*scans, *odometry], key=lambda message: message.stamp), 0.0)
 
 
+@pytest.mark.slow
 def test_scans_of_one_moment_are_recognised() -> None:
     drive = drive_with_scans_of_one_moment()
     assert decide_beam_order(Turns(drive)).times == STATED

@@ -18,7 +18,9 @@ from ...recordings import dataset_file
 from .drives import office_drive, with_few_returns, with_late_scans
 
 
-@pytest.mark.parametrize(("seed", "seconds"), [(0, 0.0), (0, 0.05), (1, -0.3), (1, 0.5)])
+@pytest.mark.parametrize(
+    ("seed", "seconds"), [(0, 0.0), (0, 0.05), pytest.param(1, -0.3, marks=pytest.mark.slow), (1, 0.5)]
+)
 def test_known_delay_is_found_within_three_standard_deviations(seed: int, seconds: float) -> None:
     delay = estimate_delay(Turns(with_late_scans(office_drive(seed, 30.0), seconds)))
     assert delay is not None
@@ -27,6 +29,7 @@ def test_known_delay_is_found_within_three_standard_deviations(seed: int, second
     assert (delay.objection is None) == (abs(seconds) > 0.1)  # less is not significant
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 2])
 def test_delay_is_found_where_most_scans_have_too_few_returns_to_be_matched(seed: int) -> None:
     late = with_few_returns(with_late_scans(office_drive(seed, 30.0), 0.35))
@@ -39,6 +42,7 @@ def test_delay_is_found_where_most_scans_have_too_few_returns_to_be_matched(seed
     assert delay.sigma < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.0, 0.3])
 @pytest.mark.parametrize("world", ["square", "equal_doors"])
 def test_straight_corridor_with_few_turns_does_not_determine_a_delay(world: str, seconds: float) -> None:
@@ -52,6 +56,7 @@ def test_scans_without_surfaces_do_not_determine_a_delay() -> None:
     assert estimate_delay(Turns(scattered)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [1.1, 1.3])
 def test_delay_beyond_those_that_are_tried_is_not_taken_for_a_shorter_one(seconds: float) -> None:
     assert estimate_delay(Turns(with_few_returns(with_late_scans(office_drive(0, 30.0), seconds)))) is None
@@ -82,7 +87,7 @@ def test_drive_without_turns_does_not_determine_a_delay() -> None:
 
 
 @pytest.mark.parametrize("noise", [1e-5, 1e-3])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3)), 3])
 def test_noise_of_a_robot_that_stands_does_not_determine_a_delay(seed: int, noise: float) -> None:
     source, drive = np.random.default_rng(seed), office_drive()
     first = next(message for message in drive if isinstance(message, Scan))
@@ -123,7 +128,8 @@ def test_delay_of_a_public_recording_is_found() -> None:
     assert corrected.objection is not None
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 10])
 def test_a_delay_that_does_not_explain_the_turns_from_scan_to_scan_is_objected_to(seed: int) -> None:
     """With worn wheels and few turns, the drift of odometry looks like a significant delay, of 0.35 and 0.28 s here."""
     delay = estimate_delay(Turns(Simulation("office", seed, 15.0, wheels=WHEEL_MODELS["bad"])))

@@ -109,6 +109,7 @@ def test_returns_on_the_floor_are_left_out_and_others_are_not(recording: Path) -
         np.testing.assert_array_equal(scan.ranges[of_others], true.ranges[of_others])
 
 
+@pytest.mark.slow
 def test_info_and_a_run_state_the_floor_and_its_cure(recording: Path) -> None:
     config = Config()
     run_input = RecordingInput(drivers.open(recording), reopen=str(recording))

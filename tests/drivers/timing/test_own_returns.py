@@ -120,6 +120,7 @@ def test_returns_from_the_robot_are_left_out_and_others_are_not(recording: Path)
         np.testing.assert_array_equal(scan.ranges[~of_robot], without.ranges[~of_robot])
 
 
+@pytest.mark.slow
 def test_info_states_the_robot_in_view_and_the_setting_for_live_runs(recording: Path) -> None:
     source = drivers.open(recording)
     assert sum(1 for _ in source) > 200

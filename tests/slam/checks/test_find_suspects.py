@@ -28,7 +28,9 @@ def with_path(drive: Drive, poses: np.ndarray) -> Drive:
     return replace(drive, poses=poses)
 
 
-@pytest.mark.parametrize("world", ["office", "corridor", "moved_furniture"])
+@pytest.mark.parametrize(
+    "world", ["corridor", *(pytest.param(world, marks=pytest.mark.slow) for world in ("office", "moved_furniture"))]
+)
 def test_a_right_path_has_no_suspects(world: str) -> None:
     assert find_suspects(simulated_drive(world)) == []
 

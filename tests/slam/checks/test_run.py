@@ -61,6 +61,7 @@ def test_a_clean_run_is_silent() -> None:
     assert not listener.of(SuspectFound)
 
 
+@pytest.mark.slow
 def test_a_hall_wider_than_the_range_is_reported() -> None:
     """Behind its empty middle, 10 m, the map is placed by odometry only, also after a refinement offline."""
     slam = Slam(keep_all_features=True)
@@ -73,6 +74,7 @@ def test_a_hall_wider_than_the_range_is_reported() -> None:
         assert "placed by odometry only" in row["sentence"]
 
 
+@pytest.mark.slow
 def test_a_turn_in_a_hall_wider_than_the_range_is_reported() -> None:
     """The end of the turn is certain to 14 cm, but the heading only to 7 degrees: 12 m farther that is 1.5 m."""
     slam, lidar = Slam(), replace(LIDAR_MODELS["short"], rate=4.0, range_max=6.0)
@@ -83,6 +85,7 @@ def test_a_turn_in_a_hall_wider_than_the_range_is_reported() -> None:
     assert 19.0 < row["first"] < 22.0 < row["last"] < 24.0
 
 
+@pytest.mark.slow
 def test_a_hole_in_the_scans_is_reported() -> None:
     """The lidar is unplugged for 20 s while the robot drives into another room."""
     slam, first, last = Slam(), 40.0, 60.0

@@ -82,6 +82,7 @@ def test_invalid_arguments_are_one_line_errors(wclm: Any, tmp_path: Path) -> Non
     assert both.exit_code == 2
 
 
+@pytest.mark.slow
 def test_an_interrupted_batch_keeps_only_complete_results(tmp_path: Path) -> None:
     out = tmp_path / "out"
     recordings = [SHORT[0], "sim:office?duration=300", "sim:office?duration=301"]

@@ -337,7 +337,8 @@ def test_a_file_as_output_directory_is_a_one_line_error(wclm: Any, tmp_path: Pat
     wclm.refuses("run", SHORT, "--out", "out", "--overwrite", because=["out: is a file"])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_process_leaves_no_files(tmp_path: Path, number: signal.Signals) -> None:
     # In the background of a shell SIGINT is ignored, which child processes inherit.
     program = (
@@ -371,6 +372,7 @@ def test_demo_runs_without_a_display(wclm: Any, fake_slam: type, tmp_path: Path,
     wclm.refuses("demo", because=["demo: exists already"])
 
 
+@pytest.mark.slow
 def test_demo_opens_the_viewer_if_there_is_a_display(
     wclm: Any, fake_slam: type, short_demo: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -413,6 +415,7 @@ def test_calibrate_needs_both_dimensions_of_the_wheels(wclm: Any, option: str) -
     wclm.refuses("calibrate", "drive.mcap", option, "0.1", because=[option, "both or none are required"])
 
 
+@pytest.mark.slow
 def test_calibrate_states_why_a_delay_is_not_compensated(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     result = Calibration(np.array([0.1, 0.0, -1e-9]), OdometryCorrection(), np.full(6, 0.01), 9, 9.0, (-1e-9, 0.01))
     monkeypatch.setattr("slam.offline.calibration.extrinsics.calibrate", lambda messages, config: result)

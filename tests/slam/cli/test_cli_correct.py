@@ -90,6 +90,7 @@ def test_pins_move_the_map_into_the_survey_and_a_wrong_one_is_named(wclm: Any, s
     assert len(read_session(session).slam_state.mapper.graph.pins()) == 4
 
 
+@pytest.mark.slow
 def test_a_pinned_point_on_a_wall_moves_it(wclm: Any, session: Path, tmp_path: Path) -> None:
     """Pins of the walls of one corner, in nearly the frame of the map, and the distance from the opposite wall."""
     walls = read_wall_map(session)
@@ -132,6 +133,7 @@ def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, sess
     assert wclm("correct", session, "--list").stdout == "no corrections\n"
 
 
+@pytest.mark.slow
 def test_tied_walls_become_one_and_another_directory_can_be_written(wclm: Any, mapped: Path, tmp_path: Path) -> None:
     session = copy_of_run(wclm, mapped, "sim:office?seed=3&duration=20&lidar=short", tmp_path / "out")
     before = (session / MAP).read_bytes()
@@ -203,6 +205,7 @@ def test_loops_are_forbidden_and_closed_by_hand(wclm: Any, mapped: Path, tmp_pat
     assert {name: (session / name).read_bytes() for name in files} == files
 
 
+@pytest.mark.slow
 def test_mistakes_are_refused_and_change_nothing(wclm: Any, session: Path, tmp_path: Path) -> None:
     files = {file: file.read_bytes() for file in session.rglob("*") if file.is_file()}
     (tmp_path / "one.csv").write_text(HEADER + "pose,10,1,2,0.01\n")

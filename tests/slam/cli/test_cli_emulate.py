@@ -46,7 +46,9 @@ def test_invalid_robots_are_refused(wclm: Any) -> None:
     assert wclm("emulate", "room", "--drop", "2").exit_code == 2
 
 
-@pytest.mark.parametrize(("how", "status"), [(signal.SIGINT, 0), (signal.SIGTERM, 128 + signal.SIGTERM)])
+@pytest.mark.parametrize(
+    ("how", "status"), [(signal.SIGINT, 0), pytest.param(signal.SIGTERM, 128 + signal.SIGTERM, marks=pytest.mark.slow)]
+)
 def test_emulate_cleans_up_on_signals(tmp_path: Path, how: signal.Signals, status: int) -> None:
     # In the background of a shell SIGINT is ignored, which child processes inherit.
     program = (

@@ -130,7 +130,7 @@ def test_a_regular_room_has_right_angles_and_its_true_dimensions(wclm: Any, sess
     wclm.refuses("map", session, "--regular", "--format", "pgm", because=["is for geojson, svg and dxf"])
 
 
-@pytest.mark.parametrize(("form", "suffix"), [("text", "txt"), ("csv", "csv")])
+@pytest.mark.parametrize(("form", "suffix"), [("text", "txt"), pytest.param("csv", "csv", marks=pytest.mark.slow)])
 def test_a_file_has_what_would_be_printed(wclm: Any, session: Path, tmp_path: Path, form: str, suffix: str) -> None:
     file = tmp_path / f"a.{suffix}"
     assert wclm("measure", session, "--format", form, "--out", file).exit_code == 0

@@ -224,6 +224,7 @@ def test_a_truncated_log_opens_up_to_its_end(
         assert len(keyframes_in(tmp_path / "ready.rrd")) > 0.3 * share * keyframes
 
 
+@pytest.mark.slow
 def test_the_log_of_a_killed_run_is_found_and_opens(wclm: Any, tmp_path: Path) -> None:
     out = tmp_path / "office"
     with running("run", "sim:office?lidar=short", "--out", out) as process:

@@ -74,6 +74,7 @@ def test_continue_extends_the_map(wclm: Any, folder: Path, session: Path) -> Non
     assert third["path_length"] == pytest.approx(json.loads((session / SUMMARY).read_text())["path_length"], rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_recording_with_earlier_stamps_is_no_interrupted_run(wclm: Any, folder: Path, session: Path) -> None:
     """Its odometry happens to begin where that of the session ended, and the robot is somewhere else."""
     messages, last = list(McapReader(folder / "second.mcap")), read_session(session).odometry[-1].poses[-1]
@@ -113,6 +114,7 @@ def test_localize_leaves_the_map_unchanged(wclm: Any, folder: Path, session: Pat
     assert not Path("x").exists()
 
 
+@pytest.mark.slow
 def test_a_right_initial_pose_is_no_warning(wclm: Any, folder: Path, session: Path) -> None:
     options = ("--localize", session, "--out", "here", "--no-review")
     result = wclm("run", folder / "first.mcap", *options, "--start", "0,0,0")
@@ -193,7 +195,7 @@ def test_an_output_directory_without_session_is_refused(wclm: Any, session: Path
     assert wclm("report", session, "--overwrite").exit_code == 0
 
 
-@pytest.mark.parametrize("optimised", [False, True])
+@pytest.mark.parametrize("optimised", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_exported_graph_has_the_optimum_of_the_session(wclm: Any, session: Path, optimised: bool) -> None:
     if optimised:
         assert wclm("optimize", session, "--out", "better", "--no-review").exit_code == 0

@@ -52,6 +52,7 @@ def test_compiling_for_a_short_time_prints_nothing(
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.slow
 def test_every_command_announces_that_it_compiles_and_none_imports_the_compiler_for_that() -> None:
     code = """
 import sys

@@ -123,6 +123,9 @@ COMMANDS = (
     ["save", "map"],
     ["eval", "map/trajectory.tum", "--reference", "map/trajectory.tum"],
 )
+EACH_COMMAND = [
+    pytest.param(command, marks=[pytest.mark.slow] if command[0] in ("run", "merge") else []) for command in COMMANDS
+]
 """Commands that read an output directory; only `report` and `recover` change it."""
 
 
@@ -178,7 +181,7 @@ def test_pickles_instead_of_the_files_of_a_run_are_not_loaded(watch: Watch, plac
         clean(place)
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: "-".join(command[:1] + command[2:3]))
+@pytest.mark.parametrize("command", EACH_COMMAND, ids=lambda command: "-".join(command[:1] + command[2:3]))
 def test_texts_of_a_foreign_run_are_not_executed(watch: Watch, place: Path, command: list[str]) -> None:
     summary = json.loads((place / "map" / SUMMARY).read_text())
     for text in (*TEXTS, "../escaped", str(place / "escaped")):
@@ -191,7 +194,7 @@ def test_texts_of_a_foreign_run_are_not_executed(watch: Watch, place: Path, comm
     assert not (place.parent / "escaped").exists()
 
 
-@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: "-".join(command[:1] + command[2:3]))
+@pytest.mark.parametrize("command", EACH_COMMAND, ids=lambda command: "-".join(command[:1] + command[2:3]))
 def test_links_in_a_foreign_run_lead_to_no_changes_elsewhere(watch: Watch, place: Path, command: list[str]) -> None:
     elsewhere = place.parent / "elsewhere"
     elsewhere.mkdir()

@@ -27,14 +27,15 @@ def start(directory: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_our_own_packages_are_accepted(tmp_path: Path) -> None:
     assert find_import_error() is None
     answer = start(tmp_path)
     assert (answer.returncode, answer.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("name", ["drivers", "features"])
-@pytest.mark.parametrize("module", ["{}/__init__.py", "{}.py"])
+@pytest.mark.parametrize("name", ["drivers", pytest.param("features", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("module", ["{}/__init__.py", pytest.param("{}.py", marks=pytest.mark.slow)])
 def test_another_package_of_the_same_name_is_a_one_line_error(tmp_path: Path, name: str, module: str) -> None:
     other = tmp_path / module.format(name)
     other.parent.mkdir(exist_ok=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from drivers import Odometry, Scan
 from drivers.recordings.mcap import McapWriter
@@ -17,6 +18,7 @@ from slam.io.output_dir import SUMMARY
 DOUBT = "odometry is faster than 30 m/s wherever it moves, as if in millimetres or centimetres"
 
 
+@pytest.mark.slow
 def test_odometry_in_millimetres_is_named_and_not_used(wclm: Any, tmp_path: Path) -> None:
     with McapWriter(tmp_path / "drive.mcap") as writer:
         for message in Simulation("office", seed=2, duration=12.0, lidar=LidarModel(beams=180)):

@@ -34,7 +34,7 @@ print("not interrupted")
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_while_a_function_is_loaded_ends_the_command(number: signal.Signals) -> None:
     wrap_angle(0.5)  # its code is on disk now
     command = [sys.executable, "-c", PROGRAM.format(number=int(number))]

@@ -68,10 +68,12 @@ def mapped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     return out, [line for line in answer.stderr.splitlines() if not line.startswith("wclm: compiling")]
 
 
+@pytest.mark.slow
 def test_a_run_of_a_log_loads_no_library_of_other_formats_and_tables_at_the_end(mapped: tuple[Path, list[str]]) -> None:
     assert mapped[1] == ["before the end: []", "at the end: ['pyarrow']"]
 
 
+@pytest.mark.slow
 def test_the_review_log_is_written_without_scipy(mapped: tuple[Path, list[str]], tmp_path: Path) -> None:
     """The code of Rerun is returned to the system as well, once it is imported."""
     recording = mapped[0].parent / "log.clf"
@@ -88,6 +90,7 @@ def test_the_review_log_is_written_without_scipy(mapped: tuple[Path, list[str]],
     assert (tmp_path / "out" / "review.rrd").stat().st_size > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [["report", "--overwrite"], ["map", "--format", "svg"]])
 def test_reports_and_drawings_are_made_without_the_estimator(
     mapped: tuple[Path, list[str]], command: list[str]

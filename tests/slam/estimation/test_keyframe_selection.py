@@ -63,6 +63,7 @@ def test_odometry_is_learned_between_keyframes_too() -> None:
     assert np.abs(samples[:, :2] - samples[:, 3:5]).max() < 0.05  # odometry and scans measured the same motion
 
 
+@pytest.mark.slow
 def test_where_learning_stopped_is_kept_with_a_session(tmp_path: Path) -> None:
     slam = Slam()
     for message in Simulation(load_world("office"), 3, 60.0, LidarModel(beams=460), WHEEL_MODELS["good"]):
@@ -102,6 +103,7 @@ def leaving_a_room() -> Iterator[Message]:
             yield message
 
 
+@pytest.mark.slow
 def test_the_last_view_before_nothing_is_seen_is_a_keyframe() -> None:
     """Up to it, scans correct odometry, however long ago the last keyframe was."""
     mapping, odometry = MappingConfig(keyframe_distance=4.4), OdometryConfig(learn=False)

@@ -127,6 +127,7 @@ def test_a_robot_carried_back_to_its_start_is_relocalised() -> None:
     assert outcome.result.stamps[-1] > 30.0
 
 
+@pytest.mark.slow
 def test_a_robot_that_people_surround_stays_in_its_part_of_the_map() -> None:
     outcome = run(surrounded(office(28.0, lidar=replace(ROBOT, beams=360)), 15.0, 18.0))
     assert outcome.errors.max() < 0.05
@@ -137,6 +138,7 @@ def test_a_robot_that_people_surround_stays_in_its_part_of_the_map() -> None:
     assert "parts" not in outcome.result.summary
 
 
+@pytest.mark.slow
 def test_ten_seconds_without_returns_are_bridged() -> None:
     outcome = run(blinded(office(32.0, lidar=replace(ROBOT, rate=5.0)), 15.0, 25.0))
     assert outcome.errors.max() < 0.05

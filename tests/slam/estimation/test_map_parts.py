@@ -103,6 +103,7 @@ def position_errors(estimator: Estimator, drive: list[Message]) -> np.ndarray:
     return np.hypot(errors[:, 0], errors[:, 1])
 
 
+@pytest.mark.slow
 def test_a_lost_robot_maps_on_and_is_joined_where_odometry_has_it(
     scans: list[ProcessedScan], drive: list[Message]
 ) -> None:
@@ -123,6 +124,7 @@ def test_a_robot_that_was_carried_is_not_joined_at_an_ambiguous_place(bare_scans
     assert len(estimator.state.trajectory) == len(scans)
 
 
+@pytest.mark.slow
 def test_a_robot_that_was_carried_is_joined_by_what_distinguishes_the_place(furnished_drive: list[Message]) -> None:
     """Some furniture tells the room from the room turned by 180 degrees, wherever odometry has put the robot."""
     scans = process(furnished_drive)
@@ -132,6 +134,7 @@ def test_a_robot_that_was_carried_is_joined_by_what_distinguishes_the_place(furn
     assert position_errors(estimator, furnished_drive).max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_place_that_odometry_excludes_is_not_joined(scans: list[ProcessedScan]) -> None:
     """The robot was not carried, as far as it knows, so that place must be another one that looks alike."""
     estimator, joined = lose(scans, np.array([4.0, -3.0, 2.5]), kidnapped=False)
@@ -139,6 +142,7 @@ def test_a_place_that_odometry_excludes_is_not_joined(scans: list[ProcessedScan]
     assert len(estimator.state.trajectory) == len(scans)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [(1.5, -1.0, 0.5), (0.8, -0.5, 0.1)])
 def test_a_part_is_searched_everywhere_if_scans_contradict_the_place_where_odometry_has_it(
     furnished_drive: list[Message], shift: tuple[float, float, float]
@@ -184,6 +188,7 @@ def test_the_covariance_between_parts_is_that_of_odometry(scans: list[ProcessedS
         converge(mapper)
 
 
+@pytest.mark.slow
 def test_kept_covariances_between_parts_stay_right(bare_scans: list[ProcessedScan]) -> None:
     """Those of the part that is not mapped now are computed once, although the graph changes with each keyframe."""
     estimator, _ = lose(bare_scans[: len(bare_scans) // 2], np.zeros(3), kidnapped=True)
@@ -198,6 +203,7 @@ def test_kept_covariances_between_parts_stay_right(bare_scans: list[ProcessedSca
     assert mapper.keyframe_count - first > 10
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_lost_again_maps_another_part(bare_scans: list[ProcessedScan]) -> None:
     """The covariance between the first and the last part contains odometry's motions to both later ones."""
     estimator, _ = lose(bare_scans[: len(bare_scans) // 2], np.zeros(3), kidnapped=True)
@@ -210,6 +216,7 @@ def test_a_robot_that_is_lost_again_maps_another_part(bare_scans: list[Processed
     assert np.sqrt(mapper.covariances.relative(0, third)[0, 0]) > 5.0
 
 
+@pytest.mark.slow
 def test_a_part_that_was_left_is_joined_as_well(scans: list[ProcessedScan], drive: list[Message]) -> None:
     """The second part is too short to be recognised while it is mapped; the third one comes to its places."""
     estimator, again = Estimator(SlamState(Config())), iter([LOST_AT, LOST_AT + 4.0, np.inf])
@@ -226,6 +233,7 @@ def test_a_part_that_was_left_is_joined_as_well(scans: list[ProcessedScan], driv
     assert position_errors(estimator, drive).max() < 0.03
 
 
+@pytest.mark.slow
 def test_a_robot_that_was_lost_on_a_frozen_map_keeps_its_scans(scans: list[ProcessedScan]) -> None:
     estimator, scans = Estimator(SlamState(Config())), scans[: len(scans) // 2]
     for scan in scans:
@@ -284,6 +292,7 @@ def test_a_robot_carried_to_another_building_maps_it_apart(carried: tuple[Slam, 
     assert len(slam.slam_state.trajectory) == summary["scans"]
 
 
+@pytest.mark.slow
 def test_scans_that_are_tracked_again_at_the_beginning_of_a_part_are_no_burst() -> None:
     """A part begins with the scans that fitted nowhere before; with stamps that go back, no interval would be right."""
     slam = Slam()
@@ -335,6 +344,7 @@ def test_parts_and_searches_for_their_place_are_stored_with_a_session(
     np.testing.assert_array_equal(state.joins.states[0].retracted, [motion])
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_maps_on_in_the_same_part(tmp_path: Path) -> None:
     messages = elsewhere("office", "room", 12.0)
     slam = Slam()

@@ -412,6 +412,7 @@ def test_session_without_a_map_is_not_refined() -> None:
     assert len(finished.poses)
 
 
+@pytest.mark.slow
 def test_stopped_odometry_is_detected() -> None:
     """Scans during the stop are placed by their neighbours, also if the online estimate followed odometry."""
     messages = list(Simulation("office", seed=1, duration=14.0, lidar=LidarModel(beams=180, rate=5.0)))
@@ -432,6 +433,7 @@ def test_refined_trajectories_are_as_good_or_better(seed: int) -> None:
     assert error(refined.stamps, refined.poses, messages) <= error(online.stamps, online.poses, messages)
 
 
+@pytest.mark.slow
 def test_scans_in_corridors_stay_where_odometry_has_them() -> None:
     """Along a bare corridor every pose fits as well: matching to the finished map must not move a scan there."""
     drive = list(Simulation(random_building(9128), 9128, 50.0, LIDAR_MODELS["short"], WHEEL_MODELS["bad"]))

@@ -58,6 +58,7 @@ def test_straight_walls_have_no_bends() -> None:
     assert estimate_wall_bends(mapper, scans).sigma < 0.001
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_the_lines_fitted_to_bent_walls() -> None:
     random, sigma, drives = np.random.default_rng(3), 0.004, 200
     mapper, scans, _ = drive_past(20, sigma, random)

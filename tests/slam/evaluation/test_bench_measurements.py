@@ -39,6 +39,7 @@ def test_coverage_is_the_share_within_the_interval_of_each_drive() -> None:
     assert row.squared == pytest.approx(0.5 * (1.0 + 9.0 + 6.25) / 4.0)
 
 
+@pytest.mark.slow
 def test_measurements_of_a_drive_are_compared_with_the_world(tmp_path: Path) -> None:
     (tmp_path / "room.toml").write_text(WORLD)
     (drive,) = measure_drives([3], str(tmp_path / "room.toml"), None)

@@ -73,6 +73,7 @@ def test_measured_ranges_lie_on_their_walls(worlds: dict[str, Environment]) -> N
         assert np.std(error) == pytest.approx(0.05, rel=0.1)
 
 
+@pytest.mark.slow
 def test_tables_have_every_row_of_the_paper(measured: dict[str, Any], times: dict[str, Any]) -> None:
     for name, printed in (("A", TABLE_1), ("B", TABLE_2)):
         rows = measured["environments"][name]["table"]
@@ -83,6 +84,7 @@ def test_tables_have_every_row_of_the_paper(measured: dict[str, Any], times: dic
         assert [row["points"] for row in times[name]] == printed[:, 0].tolist()
 
 
+@pytest.mark.slow
 def test_all_figures_are_finite_and_spreads_positive(measured: dict[str, Any], times: dict[str, Any]) -> None:
     assert all(np.isfinite(value) for value in numbers([measured, times]))
     for world in measured["environments"].values():
@@ -90,12 +92,14 @@ def test_all_figures_are_finite_and_spreads_positive(measured: dict[str, Any], t
     assert min(numbers(times)) > 0.0
 
 
+@pytest.mark.slow
 def test_measurements_without_times_are_repeatable(measured: dict[str, Any]) -> None:
     again, other = measure(3, **SMALL), measure(4, **SMALL)
     assert json.dumps(again) == json.dumps(measured)
     assert json.dumps(other) != json.dumps(measured)
 
 
+@pytest.mark.slow
 def test_siadat_equals_arras_siegwart_for_the_same_weights(measured: dict[str, Any]) -> None:
     for world in measured["environments"].values():
         assert world["siadat with the same weights differs by"] < 1e-9
@@ -153,12 +157,14 @@ def test_all_timed_forms_compute_the_same_corner(worlds: dict[str, Environment])
         assert [[cxx, cxy], [cxy, cyy]] == pytest.approx(covariance, rel=1e-8)
 
 
+@pytest.mark.slow
 def test_arras_siegwart_is_quadratic_only_with_double_sums(times: dict[str, Any]) -> None:
     first, last = times["B4"][0]["compiled"], times["B4"][-1]["compiled"]
     assert last["arras-siegwart, double sums"] > 5.0 * first["arras-siegwart, double sums"]
     assert last["arras-siegwart, double sums"] > 5.0 * last["arras-siegwart, single sums"]
 
 
+@pytest.mark.slow
 def test_wclm_covariances_are_consistent(worlds: dict[str, Environment]) -> None:
     for world in worlds.values():
         figures = uncertainty.consistency(uncertainty.measure(world, 0, sweeps=40))
@@ -166,6 +172,7 @@ def test_wclm_covariances_are_consistent(worlds: dict[str, Environment]) -> None
             assert 0.91 < figures[method]["within_95"] < 0.98
 
 
+@pytest.mark.slow
 def test_verdicts_follow_from_the_measurements(measured: dict[str, Any], times: dict[str, Any]) -> None:
     claims = judge(measured, times)
     verdicts = {claim.says.split()[0]: claim.verdict for claim in judge(measured, None)}
@@ -183,6 +190,7 @@ def test_verdicts_follow_from_the_measurements(measured: dict[str, Any], times: 
     assert verdicts["Lines"] == HOLDS
 
 
+@pytest.mark.slow
 def test_tables_are_printed_in_full(measured: dict[str, Any], times: dict[str, Any]) -> None:
     text = "\n".join(lines(measured, times, judge(measured, times)))
     for heading in ("Table I:", "Table II:", "Table III:", "Table IV:", "Figure 5:"):
@@ -191,6 +199,7 @@ def test_tables_are_printed_in_full(measured: dict[str, Any], times: dict[str, A
     assert "4757.09" in text
 
 
+@pytest.mark.slow
 def test_the_command_writes_tables_json_and_plots(
     wclm: Any, monkeypatch: pytest.MonkeyPatch, measured: dict[str, Any], times: dict[str, Any]
 ) -> None:

@@ -64,7 +64,8 @@ def test_maps_are_aligned_by_their_common_walls_whatever_the_others_are() -> Non
     assert all(one + two == 11 for one, two in pairs)
 
 
-@pytest.mark.parametrize("range_bias", [pytest.param(0.0, marks=pytest.mark.slow), 0.02])
+@pytest.mark.slow
+@pytest.mark.parametrize("range_bias", [0.0, 0.02])
 def test_halves_of_a_simulated_drive_are_consistent(range_bias: float) -> None:
     lidar = LidarModel(beams=180, rate=5.0, range_bias=range_bias)
     result = examine("room", list(Simulation("room", seed=5, duration=45.0, lidar=lidar)), Config())

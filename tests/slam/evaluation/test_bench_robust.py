@@ -112,6 +112,7 @@ def test_a_recording_is_scored_against_its_reference_and_odometry(folder: Path) 
     assert "internal error" not in failed.failed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", VARIANTS)
 def test_variants_of_a_recording_are_scored_against_its_reference(folder: Path, variant: str) -> None:
     _, good = find_recordings(folder)
@@ -121,6 +122,7 @@ def test_variants_of_a_recording_are_scored_against_its_reference(folder: Path, 
     assert result.slam.error < 0.05
 
 
+@pytest.mark.slow
 def test_a_drawn_drive_is_the_same_for_the_same_seed() -> None:
     drives = [WORLDS["strangers"].simulation(seed) for seed in (0, 0, 1)]
     assert drives[0].lidar == drives[1].lidar != drives[2].lidar
@@ -129,6 +131,7 @@ def test_a_drawn_drive_is_the_same_for_the_same_seed() -> None:
     assert not np.array_equal(drives[0].mount, drives[2].mount)
 
 
+@pytest.mark.slow
 def test_a_world_is_scored_by_its_truth(monkeypatch: pytest.MonkeyPatch) -> None:
     short = replace(WORLDS["crowd"], duration=6.0)
     monkeypatch.setitem(robust.WORLDS, "crowd", short)
@@ -151,6 +154,7 @@ def test_furniture_is_another_one_on_another_day(monkeypatch: pytest.MonkeyPatch
     assert drives == [name == "refurnished-map"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["localize", "continue"])
 def test_a_drive_on_another_day_is_scored_in_the_map(monkeypatch: pytest.MonkeyPatch, mode: LaterMode) -> None:
     monkeypatch.setattr(later_drives, "LATER_SECONDS", 10.0)

@@ -18,6 +18,7 @@ from slam.evaluation.benchmarks.slam_runs import RECORDINGS, WORLDS, RunSpec, li
 from slam.visualisation.plots.version_history import plot_versions
 
 
+@pytest.mark.slow
 def test_a_run_is_scored_and_repeatable() -> None:
     spec = RunSpec("room", seed=2, seconds=8.0)
     first, second = run_once(spec), run_once(spec)
@@ -74,6 +75,7 @@ def test_versions_are_sorted_by_number(tmp_path: Path) -> None:
         read_versions(tmp_path)
 
 
+@pytest.mark.slow
 def test_a_version_may_lack_a_run(tmp_path: Path) -> None:
     one = {"name": "a", "error": 1.0, "by_reference": 2.0, "memory": 3.0}
     plot_versions(tmp_path / "x.png", {"1": [one], "2": [one | {"name": "b"}]})
@@ -95,6 +97,7 @@ def test_load_is_no_regression_and_a_slower_program_is(
     assert len(list(made)) == len(times) - runs
 
 
+@pytest.mark.slow
 def test_the_reference_is_timed_during_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """A processor that takes twice as long for everything gives the same ratio."""
     clock = iter(range(10**9))

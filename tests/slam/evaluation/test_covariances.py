@@ -133,7 +133,14 @@ def test_conditions_are_chosen_and_printed_as_one_line_of_json(wclm: Any, monkey
     assert all(name in text for name in CONDITIONS)
 
 
-@pytest.mark.parametrize("condition", ["half-circle", "bent-walls", "buildings"])
+@pytest.mark.parametrize(
+    "condition",
+    [
+        "half-circle",
+        pytest.param("bent-walls", marks=pytest.mark.slow),
+        pytest.param("buildings", marks=pytest.mark.slow),
+    ],
+)
 def test_drives_that_are_not_in_the_office_as_it_is_are_scored(condition: str) -> None:
     (run,) = simulate([3], 3.5, condition)
     assert run is not None

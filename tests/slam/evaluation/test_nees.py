@@ -49,6 +49,7 @@ def test_the_nees_of_walls_is_independent_of_the_true_frames_position_along_the_
     np.testing.assert_allclose(line_nees(frames, covariances, se2.compose(wall, along)), expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_band_of_runs_holds_for_correlated_values_within_runs() -> None:
     """Errors of a run have a common part; counted singly they would leave their narrow band far too often."""
     random, kept, narrow = np.random.default_rng(8), 0, 0

@@ -159,7 +159,14 @@ def test_people_surround_the_robot_while_it_drives() -> None:
         assert np.all((distance > NEAR - 0.2) & (distance < FAR + 0.2))
 
 
-@pytest.mark.parametrize("world", [*(random_building(seed) for seed in range(6)), *map(room_with_boxes, range(3))])
+@pytest.mark.parametrize(
+    "world",
+    [
+        random_building(0),
+        *(pytest.param(random_building(seed), marks=pytest.mark.slow) for seed in range(1, 6)),
+        *map(room_with_boxes, range(3)),
+    ],
+)
 def test_robot_reaches_the_end_of_a_random_building_without_touching_anything(world: object) -> None:
     free_drive(world)
 
@@ -185,7 +192,11 @@ def test_a_building_is_drawn_from_its_seed() -> None:
     assert random_building(4).segments.tolist() != random_building(5).segments.tolist()
 
 
-@pytest.mark.parametrize("seed", [6000, 6004, 6007])  # an office, a building of corridors, and rooms with boxes
+@pytest.mark.parametrize(
+    # an office, a building of corridors, and rooms with boxes
+    "seed",
+    [6000, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (6004, 6007))],
+)
 def test_a_refurnished_building_has_the_same_walls_and_other_furniture(seed: int) -> None:
     earlier = small_stranger(seed)
     later = later_drive(earlier, refurnished=True).simulation

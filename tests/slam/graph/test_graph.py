@@ -166,7 +166,7 @@ def relative_difference(covariance: np.ndarray, other: np.ndarray) -> float:
     return float(np.abs(np.sqrt(ratio) - 1).max())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3)), 3])
 def test_estimate_equals_exact_solution(seed: int) -> None:
     world = make_world(seed)
     graph, exact = make_graph(world), solve_exactly(world)
@@ -179,7 +179,7 @@ def test_estimate_equals_exact_solution(seed: int) -> None:
     np.testing.assert_allclose(graph.corner_positions(range(3)), exact.corners, atol=2e-3)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in range(3)), 3])
 def test_covariances_equal_exact_ones(seed: int) -> None:
     world = make_world(seed, MIN_NOISE)
     graph = make_graph(world, offset=0.0)

@@ -237,7 +237,7 @@ def add_false_loops(graph: PoseGraph, share: float, seed: int) -> tuple[PoseGrap
     return replace(graph, motions=both), np.arange(graph.edge_count + count) >= graph.edge_count
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_false_edges_are_rejected(seed: int) -> None:
     graph, _ = square_laps(seed, sigmas=(0.05, 0.05, 0.02))
     corrupted, false = add_false_loops(graph, 0.5, seed)
@@ -267,6 +267,7 @@ def test_false_landmark_observations_are_rejected() -> None:
 # --- the command
 
 
+@pytest.mark.slow
 def test_optimize_writes_a_graph_and_a_summary(wclm: Any, tmp_path: Path) -> None:
     graph, _ = with_landmarks(*square_laps(1), seed=1)
     corrupted, false = add_false_loops(replace(graph, landmark_ids=np.arange(5) + 10_000), 0.3, 1)

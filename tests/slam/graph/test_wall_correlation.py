@@ -59,7 +59,10 @@ def test_repeated_errors_lose_information(kind: FactorKind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("walls", "views"), [(2, 60), (3, 60), (8, 60), (20, 30)])
+@pytest.mark.parametrize(
+    ("walls", "views"),
+    [(2, 60), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((3, 60), (8, 60), (20, 30)))],
+)
 @pytest.mark.parametrize(("decay", "variance", "tolerance"), [(0.0, 1.0, 0.4), (0.6, 4.0, 0.3)])
 def test_errors_that_poses_and_walls_have_absorbed_count(
     kind: FactorKind, walls: int, views: int, decay: float, variance: float, tolerance: float

@@ -243,6 +243,7 @@ for position in range(len(whole) - 8 - footer, len(whole) - 8):
 """
 
 
+@pytest.mark.slow
 def test_no_damage_of_a_footer_ends_the_process(tmp_path: Path) -> None:
     path = tmp_path / "table.parquet"
     write_table(path, {"a": np.arange(20.0), "b": to_ragged([np.arange(3.0)] * 20, np.float64)})

@@ -72,6 +72,7 @@ def input_with_turned_lidar(path: Path, stated: bool) -> RecordingInput:
     return RecordingInput(drivers.open(path), reopen=str(path))
 
 
+@pytest.mark.slow
 def test_a_lidar_that_points_backwards_is_corrected_if_no_mount_is_stated(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
     run_input = input_with_turned_lidar(path, stated=False)
@@ -117,6 +118,7 @@ def recording_without_times(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_info_states_the_settings_that_correct_the_same_live(recording_without_times: Path) -> None:
     found = CliRunner().invoke(app, ["info", str(recording_without_times)])
     assert found.exit_code == 0, found.output

@@ -208,8 +208,8 @@ def test_a_session_is_written_whatever_its_values_are_and_the_reader_names_the_i
     "settings",
     [
         ["odometry.translation_error=1000"],
-        ["odometry.rotation_walk=1000"],
-        ["odometry.translation_floor=1000", "odometry.rotation_floor=1000"],
+        pytest.param(["odometry.rotation_walk=1000"], marks=pytest.mark.slow),
+        pytest.param(["odometry.translation_floor=1000", "odometry.rotation_floor=1000"], marks=pytest.mark.slow),
         ["lidar.mount=[100,-100,6.28]", "lidar.range_max=inf"],
     ],
 )

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from drivers import se2
 from drivers.messages import GroundTruth, Message, Scan
@@ -39,6 +40,7 @@ def finished(messages: Iterator[Message]) -> Finished:
     return end
 
 
+@pytest.mark.slow
 def test_stamps_in_bursts_do_not_change_the_map() -> None:
     """Odometry moves by centimetres from scan to scan of a burst, in no time: that is no slip."""
     lidar, wheels = LIDAR_MODELS["short"], WHEEL_MODELS["good"]

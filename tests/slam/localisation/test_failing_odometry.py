@@ -35,7 +35,10 @@ def drive(failure: Failure) -> Iterator[Message]:
         yield message
 
 
-@pytest.mark.parametrize("failure", ["stands still", "ends", "pauses"])
+@pytest.mark.parametrize(
+    "failure",
+    ["stands still", pytest.param("ends", marks=pytest.mark.slow), pytest.param("pauses", marks=pytest.mark.slow)],
+)
 def test_the_path_does_not_need_odometry_that_fails(failure: Failure) -> None:
     listener, truth = EventRecorder(), []
     slam = Slam(sinks=[listener])

@@ -62,6 +62,7 @@ def missing_way(seed: int) -> float:
     return float(np.hypot(*(mapped - driven)[:2]))
 
 
+@pytest.mark.slow
 def test_a_slow_robot_is_followed_while_odometry_stands_still() -> None:
     """Otherwise the whole way is missing that odometry has not measured."""
     assert np.mean([missing_way(seed) for seed in range(4)]) < 0.5 * SPEED * LASTS

@@ -202,8 +202,8 @@ def test_restored_field_continues_as_the_saved_one() -> None:
     assert list(restored.inserted) == list(field.inserted)
 
 
-@pytest.mark.parametrize("displacement", [0.0, 2.0 * MAX_DISPLACEMENT])
-@pytest.mark.parametrize("changed", [0, 1])
+@pytest.mark.parametrize("displacement", [pytest.param(0.0, marks=pytest.mark.slow), 2.0 * MAX_DISPLACEMENT])
+@pytest.mark.parametrize("changed", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_copy_and_original_do_not_change_each_other(changed: int, displacement: float) -> None:
     """Either is changed: it gets a keyframe, with which it is also built anew if the other poses have changed."""
     poses, travelled, field = slow_drive(0.03, MAX_CENTRE_DISTANCE + 0.1)

@@ -164,6 +164,7 @@ def test_an_object_costs_as_much_as_it_is_rare_that_one_moves() -> None:
         assert np.all(weights[~on_person] == 1.0)
 
 
+@pytest.mark.slow
 def test_odometry_does_not_count_as_failing_beside_people_who_walk_with_the_robot() -> None:
     """Without odometry, the robot would stand beside people who keep their distance, in a corridor without doors."""
     assert _error_beside_people(8) < 0.1

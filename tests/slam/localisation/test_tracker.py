@@ -142,8 +142,8 @@ def drive(source: Iterable[Message]) -> tuple[Finished, Floats, list[str]]:
     return result, np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])]), notices
 
 
-@pytest.mark.parametrize("makes_up", [True, False])
-@pytest.mark.parametrize("begin", [8.0, 22.0])
+@pytest.mark.parametrize("makes_up", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.parametrize("begin", [8.0, pytest.param(22.0, marks=pytest.mark.slow)])
 def test_odometry_that_stands_still_for_two_seconds_is_corrected(begin: float, makes_up: bool) -> None:
     _, errors, _ = drive(FailingOdometry(begin, begin + 2.0, makes_up=makes_up))
     assert errors[:, 0].max() < 0.10  # of a keyframe while it stands still
@@ -174,7 +174,14 @@ def test_the_evidence_of_a_tentative_scan_is_passed_on_to_the_next_one(monkeypat
     assert any(given)
 
 
-@pytest.mark.parametrize("jump", [[0.9, 0.0, 0.0], [0.0, -0.8, 0.3], [-1.0, 0.4, -0.5]])
+@pytest.mark.parametrize(
+    "jump",
+    [
+        pytest.param([0.9, 0.0, 0.0], marks=pytest.mark.slow),
+        pytest.param([0.0, -0.8, 0.3], marks=pytest.mark.slow),
+        [-1.0, 0.4, -0.5],
+    ],
+)
 def test_the_path_does_not_follow_a_jump_of_odometry(jump: list[float]) -> None:
     """Not even at the first scan after the jump, whose pose the next scan confirms."""
     slam, truth = Slam(), {}
@@ -194,6 +201,7 @@ def test_the_path_does_not_follow_a_jump_of_odometry(jump: list[float]) -> None:
     assert np.hypot(*(result.poses[at_scans, :2] - expected).T).max() < 0.05
 
 
+@pytest.mark.slow
 def test_the_path_goes_on_evenly_while_odometry_counts_backwards() -> None:
     """The scans predict each other although they are few, and the robot is never lost."""
     result, errors, _ = drive(ReversedOdometry(10.0, 20.0))

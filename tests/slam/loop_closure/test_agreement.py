@@ -169,6 +169,7 @@ def test_drift_that_leads_to_no_other_place_is_corrected_although_the_drive_ends
     assert abs(left[2]) < 0.01
 
 
+@pytest.mark.slow
 def test_drift_beyond_the_uncertainty_of_the_estimate_is_corrected_if_correlated_errors_explain_it() -> None:
     """The estimate is wrong by 3.5 of its standard deviations, or by more than correlated errors explain."""
     certain, hall = np.array([0.1, 0.1, 0.02]), {"room": HALL, "until": 35.0, "end": 35.0}
@@ -180,6 +181,7 @@ def test_drift_beyond_the_uncertainty_of_the_estimate_is_corrected_if_correlated
     assert drive_twice(np.array([0.1, 2.5, 0.0]), np.zeros(3), sigmas=certain, **hall)[0] == []
 
 
+@pytest.mark.slow
 def test_looks_need_not_extend_over_the_uncertainty_that_is_added_after_the_first_one() -> None:
     """By the uncertainty at each look itself, what the looks show would never suffice: both grow with the drive."""
     hall = {"room": HALL, "until": 35.0, "end": 35.0}
@@ -235,6 +237,7 @@ def test_the_robot_is_searched_beside_the_path_only_while_the_estimate_is_in_dou
     assert (len(right[0]), len(right[1])) == (0, 1)
 
 
+@pytest.mark.slow
 def test_interruptions_do_not_change_what_is_accepted() -> None:
     drift = np.array([0.3, 0.9, 0.08])
     expected, found = (drive_twice(drift, np.zeros(3), interrupted=some)[0] for some in (False, True))

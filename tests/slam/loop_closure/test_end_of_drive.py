@@ -34,6 +34,7 @@ def drive_round(world: str, seed: int, duration: float) -> tuple[Slam, Finished,
     return slam, finished, float(np.hypot(*error[:2])), events.of(LoopDecided)
 
 
+@pytest.mark.slow
 def test_a_loop_at_the_end_of_a_drive_is_closed_by_its_evidence() -> None:
     """The drive ends some metres after the return."""
     slam, finished, error, decided = drive_round("large_loop", 66, 113.0)

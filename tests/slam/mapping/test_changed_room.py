@@ -88,6 +88,7 @@ def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save(slam.session, tmp_path_factory.mktemp("run") / "out")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("refine", [False, True])
 def test_a_partition_that_is_gone_leaves_the_map_and_stays_in_the_session(
     furnished: Path, tmp_path: Path, refine: bool
@@ -113,6 +114,7 @@ def test_a_partition_that_is_gone_leaves_the_map_and_stays_in_the_session(
     assert again.landmarks.opened == slam.session.slam_state.mapper.landmarks.opened
 
 
+@pytest.mark.slow
 def test_a_partition_that_is_still_there_stays(furnished: Path) -> None:
     same = world(always=np.concatenate([ROOM, PARTITION]))
     _, finished = run(drive(same, seed=2, shift=1000.0), read_session(furnished))
@@ -120,6 +122,7 @@ def test_a_partition_that_is_still_there_stays(furnished: Path) -> None:
     assert finished.summary["removed_walls"] == 0
 
 
+@pytest.mark.slow
 def test_a_door_that_is_opened_opens_the_wall(furnished: Path) -> None:
     """A stretch in the middle of the partition is gone, the rest is there, also after refinement."""
     halves = np.array([*box(3.0, 3.0, 1.0, 0.1), *box(5.0, 3.0, 1.0, 0.1)])
@@ -141,6 +144,7 @@ def test_a_person_standing_for_some_seconds_is_not_on_the_final_map(seed: int) -
     assert length_on(finished.walls, ROOM) > 28.0
 
 
+@pytest.mark.slow
 def test_a_door_leaf_that_was_open_for_some_seconds_is_not_on_the_final_map() -> None:
     leaf = np.array([[4.0, 3.0, 4.6, 3.6]])
     away = np.array([[4.2, 3.2, 4.6, 3.6]])  # from the hinge
@@ -160,6 +164,7 @@ def test_nothing_is_removed_in_a_building_that_does_not_change(seed: int) -> Non
     assert finished.summary["removed_walls"] == 0
 
 
+@pytest.mark.slow
 def test_a_session_restores_the_free_space_evidence(tmp_path: Path) -> None:
     partition = TemporaryShapes(0.0, 16.0, PARTITION, NOTHING[1])
     slam, _ = run(drive(world(passing=[partition]), duration=19.0))

@@ -7,6 +7,7 @@ import drivers
 from slam import Slam
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", ["office", "large_loop"])
 def test_bound_of_a_relative_covariance_is_no_smaller_than_that(world: str) -> None:
     slam = Slam()

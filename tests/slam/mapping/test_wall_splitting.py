@@ -76,11 +76,13 @@ def test_a_surface_that_one_keyframe_saw_becomes_a_wall() -> None:
     assert walls["high"][0] - walls["low"][0] == pytest.approx(2.0, abs=0.25)
 
 
+@pytest.mark.slow
 def test_one_wall_is_rarely_split_by_noise() -> None:
     splits = sum(split_walls(map_with_gap(STRETCHES[1], seed)) for seed in range(40))
     assert splits <= 1
 
 
+@pytest.mark.slow
 def test_surfaces_of_uncertain_heading_are_told_apart_by_evidence() -> None:
     """A step of 3 cm is some 3.3 standard deviations then, which are compatible with one line by chance."""
     sigmas, second = np.array([0.004, 0.012]), se2.compose(STRETCHES[1], [0.0, 0.03, 0.0])

@@ -121,7 +121,14 @@ def test_damaged_readings_do_not_change_the_ones_after_them(damaged: se2.Pose, c
     np.testing.assert_allclose(used[2 + count :], driven[2:], atol=1e-12)
 
 
-@pytest.mark.parametrize("jumps", [lambda k: k == 50, lambda k: k >= 50, lambda k: k % 20 == 0])
+@pytest.mark.parametrize(
+    "jumps",
+    [
+        pytest.param(lambda k: k == 50, marks=pytest.mark.slow),
+        lambda k: k >= 50,
+        pytest.param(lambda k: k % 20 == 0, marks=pytest.mark.slow),
+    ],
+)
 def test_a_map_is_that_of_a_drive_without_jumps(tmp_path: Path, jumps: Callable[[int], bool]) -> None:
     drive = list(Simulation("room", seed=3, duration=5.0, lidar=LidarModel(beams=180, rate=5.0)))
     count, spoiled, stamps, before = 0, list[Message](), [], False

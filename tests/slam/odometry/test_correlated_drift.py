@@ -37,7 +37,8 @@ def bent_corridor(folder: Path, seed: int) -> Path:
     return world
 
 
-@pytest.mark.parametrize("seed", [3, pytest.param(5, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [3, 5])
 def test_slightly_bent_walls_do_not_tear_a_corridor_apart(tmp_path: Path, seed: int) -> None:
     simulation = Simulation(bent_corridor(tmp_path, seed), seed=seed, lidar=replace(LIDAR_MODELS["short"], rate=4.0))
     slam, truth = Slam(), []

@@ -15,7 +15,8 @@ ERROR = np.array([0.07, -0.04, 0.03])
 """Of the mount in the settings, in the base's frame."""
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
 def test_wheels_too_long_and_a_wrong_mount_are_found(seed: int) -> None:
     """Drive with wheels that measure 3 % too long, and with a lidar that is 7 cm and 2 degrees from where it seems."""
     wheels = WheelModel(scale_bias=0.03, difference_bias=0.0, wheelbase_bias=0.0)

@@ -218,6 +218,7 @@ def work(job: Job) -> Row:
     return make_row(job, Status.DONE)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # from Dask, about the killed worker
 def test_crash_of_a_worker_affects_only_its_recording(client: Client, tmp_path: Path) -> None:
     recordings = ["good-1", "deadly", "broken", "good-2", "killed-once", "shaky", *(f"good-{k}" for k in range(3, 9))]

@@ -41,7 +41,8 @@ def test_mount_and_odometry_correction_are_found_from_a_drive() -> None:
     assert np.all(found.sigma < [0.005, 0.005, 0.003, 0.002, 0.02, 0.02])
 
 
-@pytest.mark.parametrize("heading", [3.1, pytest.param(-1.7, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("heading", [3.1, -1.7])
 def test_a_lidar_that_points_backwards_or_aside_is_found(heading: float) -> None:
     mount = np.array([0.15, -0.05, heading])
     simulation = Simulation("office", seed=3, duration=25.0, lidar=ROBOT, mount=mount)
@@ -86,6 +87,7 @@ def test_too_little_data_is_an_error() -> None:
         calibrate([message for message in simulation if isinstance(message, Scan | Odometry)])
 
 
+@pytest.mark.slow
 def test_command_prints_the_corrected_options(wclm: Any) -> None:
     result = wclm("calibrate", "sim:room?duration=25&seed=1&lidar=short", "--wheel-radius", "0.033", "--track", "0.35")
     assert result.exit_code == 0, result.output

@@ -98,6 +98,7 @@ def test_an_unchanged_building_is_the_same(random: np.random.Generator) -> None:
     np.testing.assert_allclose(found.motion, NEW_MAP_AT, atol=0.01)
 
 
+@pytest.mark.slow
 def test_p_values_of_walls_that_have_not_moved_are_uniform_or_larger(random: np.random.Generator) -> None:
     """Few walls scatter, and variances are only increased: then p-values are larger than uniform ones."""
     p_values = []

@@ -232,6 +232,7 @@ def scanned(name: str, directory: Path) -> tuple[StoredSession, Floats]:
     return session, next(message.pose for message in messages if isinstance(message, GroundTruth))
 
 
+@pytest.mark.slow
 def test_corridor_is_recognised_although_each_of_its_places_looks_like_others(tmp_path: Path) -> None:
     (old, start), (new, turned) = scanned("there", tmp_path), scanned("back", tmp_path)
     for location, motion in (
@@ -245,6 +246,7 @@ def test_corridor_is_recognised_although_each_of_its_places_looks_like_others(tm
         assert np.abs(errors).max() < 0.3
 
 
+@pytest.mark.slow
 def test_building_with_four_equal_sides_is_refused_and_its_places_are_named(tmp_path: Path) -> None:
     (old, _), (new, _) = scanned("one side", tmp_path), scanned("another side", tmp_path)
     location = locate(drive_of(new), map_of(old), OVERLAP)

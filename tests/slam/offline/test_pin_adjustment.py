@@ -42,6 +42,7 @@ def names(pins: list[PinnedValue]) -> list[str]:
     return [f"pin {k}" for k in range(len(pins))]
 
 
+@pytest.mark.slow
 def test_correct_pins_are_used_and_place_the_map() -> None:
     rng, left_out, squared = np.random.default_rng(0), 0, []
     for _ in range(25):
@@ -58,7 +59,7 @@ def test_correct_pins_are_used_and_place_the_map() -> None:
 
 
 @pytest.mark.parametrize("wrong", [1, 6])
-@pytest.mark.parametrize("error", [0.3, 30.0])
+@pytest.mark.parametrize("error", [0.3, pytest.param(30.0, marks=pytest.mark.slow)])
 def test_a_wrong_pin_is_left_out_and_no_other(wrong: int, error: float) -> None:
     """Of a pose, and of a wall."""
     rng = np.random.default_rng(3)

@@ -20,7 +20,7 @@ def drive(bias: float, seed: int = 0, seconds: float = 20.0) -> list[object]:
     return list(Simulation("office", seed=seed, duration=seconds, lidar=LidarModel(range_bias=bias)))
 
 
-@pytest.mark.parametrize("configured", [0.0, 0.018])
+@pytest.mark.parametrize("configured", [pytest.param(0.0, marks=pytest.mark.slow), 0.018])
 def test_bias_is_found_and_walls_are_as_accurate_as_they_claim(configured: float) -> None:
     """Walls with an unknown bias of 1 cm have a NEES of 20 if the estimate ignores it."""
     config = Config(lidar=LidarConfig(range_bias=configured))

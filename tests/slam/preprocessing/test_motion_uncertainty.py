@@ -92,7 +92,14 @@ FIT = pytest.mark.parametrize(
 )
 
 
-SIGMAS = pytest.mark.parametrize("sigma", [1e-4, 2e-3, 0.02], ids=["motion dominates", "both", "sensor dominates"])
+SIGMAS = pytest.mark.parametrize(
+    "sigma",
+    [
+        pytest.param(1e-4, id="motion dominates", marks=pytest.mark.slow),
+        pytest.param(2e-3, id="both"),
+        pytest.param(0.02, id="sensor dominates", marks=pytest.mark.slow),
+    ],
+)
 
 
 @SIGMAS

@@ -121,6 +121,7 @@ def test_search_is_due_when_the_drive_shows_more(second: tuple[SlamState, se2.Po
     assert due(drive_scans.SEARCH_KEYFRAMES, 0.0, first=count - 3)
 
 
+@pytest.mark.slow
 def test_places_seen_again_are_no_further_evidence(
     first: tuple[ScannedMap, se2.Pose], second: tuple[SlamState, se2.Pose], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -154,7 +155,7 @@ def test_what_is_known_before_counts(first: tuple[ScannedMap, se2.Pose], second:
     assert even < likely <= even + np.log(9.0) + 1e-6
 
 
-@pytest.mark.parametrize("world", ["museum", "room"])
+@pytest.mark.parametrize("world", [pytest.param("museum", marks=pytest.mark.slow), "room"])
 def test_drive_in_another_building_is_not_located(first: tuple[ScannedMap, se2.Pose], world: str) -> None:
     state, _ = mapped(world, 3, 0.0, 25.0)
     scans = [submap.scan for submap in DriveScans().take(state.mapper, state.local_field, 0).submaps]

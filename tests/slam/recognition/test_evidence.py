@@ -90,6 +90,7 @@ def test_furniture_that_was_moved_together_is_less_evidence_than_the_walls_that_
     assert evidence_of(fits_of(right, walls=10), chance) > evidence_of(fits_of(right), chance)
 
 
+@pytest.mark.slow
 def test_long_walls_rarely_look_alike_with_much_evidence() -> None:
     random = np.random.default_rng(3)
     chance = random.uniform(0.2, 0.9, 60)

@@ -114,6 +114,7 @@ def test_submap_or_map_with_too_few_walls_gives_no_candidates() -> None:
     assert not align_candidates(seen_from(INSIDE[0], ROOMS[0]), index_of(walls[:0]))
 
 
+@pytest.mark.slow
 def test_benchmark_counts_accepted_poses(wclm: Callable[..., Result]) -> None:
     result = wclm("bench", "relocalisation", "sim:room?seed=3&duration=25&lidar=short", "--count", 2)
     assert result.exit_code == 0, result.output

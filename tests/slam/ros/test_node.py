@@ -295,6 +295,7 @@ def sent_by(link: MemoryLink) -> list[Any]:
     return [decode(data, DIAGNOSTICS, "cdr") for data in link.sent["/diagnostics"]]
 
 
+@pytest.mark.slow
 def test_a_map_that_is_only_localised_in_is_saved_and_stays_so(node_run: NodeRun, tmp_path: Path) -> None:
     link, out, results = MemoryLink(), tmp_path / "out", []
 
@@ -376,6 +377,7 @@ def test_one_line_says_what_is_used(node_run: NodeRun) -> None:
     assert node_run.link.closed
 
 
+@pytest.mark.slow
 def test_two_lidars_as_in_a_recording(tmp_path: Path) -> None:
     recording, link = tmp_path / "drive.mcap", MemoryLink()
     record_office(recording, TWO_LIDARS)
@@ -389,6 +391,7 @@ def test_two_lidars_as_in_a_recording(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "online" / SUMMARY).read_text())["slam"]["second_lidar"]["joined"] == 24
 
 
+@pytest.mark.slow
 def test_times_of_beams_are_set_as_for_a_recording(node_run: NodeRun, tmp_path: Path) -> None:
     recording, link = node_run.offline.parent / "office.mcap", MemoryLink()
     settings = ["--set", "lidar.turn_period=0.05", "--set", "lidar.beam_order=reversed"]

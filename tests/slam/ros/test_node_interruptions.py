@@ -73,6 +73,7 @@ def run_twice(link: MemoryLink, robot: list[Published], out: Path, options: Sequ
     assert output.count("the clock was set back; a new run continues the map") == 1
 
 
+@pytest.mark.slow
 def test_a_simulation_that_is_reset_is_mapped_on(robot: list[Published], normal: Normal, tmp_path: Path) -> None:
     """The robot is back at its start, and so are clock and odometry."""
     link, out = MemoryLink(), tmp_path / "out"
@@ -87,6 +88,7 @@ def test_a_simulation_that_is_reset_is_mapped_on(robot: list[Published], normal:
     assert session.first_pose == pytest.approx(np.zeros(3), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_bag_that_is_played_again_is_localised_again(robot: list[Published], normal: Normal, tmp_path: Path) -> None:
     link = MemoryLink()
     run_twice(link, robot, tmp_path / "out", ["-p", "mode:=localization", "-p", f"map_file_name:={normal.out}"])
@@ -135,6 +137,7 @@ def test_a_lidar_that_is_restarted_with_other_beams(robot: list[Published], norm
         assert pose == pytest.approx(normal.at(stamp), abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_lidar_upside_down_is_taken_from_its_transform(
     robot: list[Published], normal: Normal, tmp_path: Path
 ) -> None:

@@ -82,6 +82,7 @@ def test_a_map_without_walls_and_corners_is_drawn(tmp_path: Path, finished: Fini
     assert min(size(tmp_path / "a.png")) > 500
 
 
+@pytest.mark.slow
 def test_a_narrow_map_with_a_long_title_is_drawn(tmp_path: Path, finished: Finished) -> None:
     """Names of bags are long; without room for the title, a warning was printed and nothing was laid out."""
     lines = replace(finished.walls, **{f.name: getattr(finished.walls, f.name)[:0] for f in fields(finished.walls)})
@@ -94,6 +95,7 @@ def test_a_narrow_map_with_a_long_title_is_drawn(tmp_path: Path, finished: Finis
     assert height > 1500
 
 
+@pytest.mark.slow
 def test_errors_are_drawn(tmp_path: Path, finished: Finished) -> None:
     truth = Trajectory(finished.stamps, finished.poses)
     estimate = Trajectory(finished.stamps, finished.poses + np.random.default_rng(1).normal(0, 0.01, (101, 3)))

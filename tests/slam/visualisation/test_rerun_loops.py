@@ -26,7 +26,7 @@ from slam.visualisation.rerun_log.shapes import segment_ends
 
 from ..corridor import of_kind
 
-pytestmark = pytest.mark.shared_run
+pytestmark = [pytest.mark.slow, pytest.mark.shared_run]
 
 DURATION = 144.0
 """Duration of the drive, seconds: the loop is closed after some 130 s, and retracted 8 s later."""

@@ -50,6 +50,7 @@ def pictures(path: Path, timeline: str, sequence: int, views: Sequence[str]) -> 
     return {name: np.array(Image.open(shot).convert("RGB")) for name, shot in shots.items()}
 
 
+@pytest.mark.slow
 def test_the_map_and_a_correction_are_shown_in_their_colours(closure_log: Path) -> None:
     shown = pictures(closure_log, "closure", 1, ["Map", "Before / after"])
     for colour in (colours.WALL, colours.MATCHED, colours.ESTIMATE, colours.CORNER, colours.CLOSURE):
@@ -72,6 +73,7 @@ def test_the_log_opens_at_the_closure_without_errors_in_a_window(closure_log: Pa
         assert pixels_of(right, colour) > 100, colour
 
 
+@pytest.mark.slow
 def test_views_of_loop_decisions_are_shown_if_there_are_any(
     corridor: tuple[Path, list[Event]], closure_log: Path, tmp_path: Path
 ) -> None:
@@ -97,6 +99,7 @@ def test_the_log_of_a_robot_that_was_only_localised_opens_on_the_timeline_of_its
         assert layout(content).time_panel.timeline == ("keyframe" if mapped else "sensor_time")
 
 
+@pytest.mark.slow
 def test_two_logs_are_shown_side_by_side(corridor: tuple[Path, list[Event]], tmp_path: Path) -> None:
     other = write(tmp_path / "other.rrd", list(Corridor(step=2.0, start=1.0e9).events()))  # stamps are times of day
     write_combined_log([find_log(corridor[0]), find_log(other)], ["one", "an other"], tmp_path / "both.rrd")

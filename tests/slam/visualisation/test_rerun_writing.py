@@ -164,6 +164,7 @@ def drive_slowly(review: ReviewLog) -> None:
             time.sleep(1.2 * rrd_writer.FLUSH_PERIOD)
 
 
+@pytest.mark.slow
 def test_a_long_log_continues_in_files_that_are_readable_by_themselves(tmp_path):
     path = tmp_path / "review.rrd"
     with ReviewLog(path, config="[lidar]", recording="long", part_size=300_000) as review:
@@ -298,6 +299,7 @@ def test_rerun_is_imported_only_when_a_log_is_created():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_files_are_also_begun_where_there_are_no_keyframes(tmp_path, monkeypatch):
     monkeypatch.setattr(rrd_writer, "MAX_BATCH_ROWS", 1)
     path, scans = tmp_path / "review.rrd", 400
