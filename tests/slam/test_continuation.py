@@ -260,8 +260,10 @@ def test_a_robot_that_stood_while_the_program_was_restarted_is_soon_placed_where
     assert error(finished, second, mapped[1], first) < 0.02
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("world", "begin", "known"), [("office", 2.0, True), ("museum", 22.0, False)])
+@pytest.mark.parametrize(
+    ("world", "begin", "known"),
+    [("office", 2.0, True), pytest.param("museum", 22.0, False, marks=pytest.mark.slow)],
+)
 def test_a_robot_that_drove_while_the_program_was_restarted_is_lost_until_it_is_recognised(
     world: str, begin: float, known: bool, tmp_path: Path
 ) -> None:

@@ -221,7 +221,6 @@ def test_damaged_bytes_lose_only_their_own_packets(make_peer: Callable[..., Any]
             assert np.nanmax(np.abs(message.ranges - own)) < 0.0021
 
 
-@pytest.mark.slow
 def test_unplugged_devices_are_reconnected(peer: Any) -> None:
     with Acquisition(parse_devices(peer.spec)) as acquisition:
         receive_for(acquisition, 0.5)

@@ -337,8 +337,7 @@ def test_a_file_as_output_directory_is_a_one_line_error(wclm: Any, tmp_path: Pat
     wclm.refuses("run", SHORT, "--out", "out", "--overwrite", because=["out: is a file"])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_an_interrupted_process_leaves_no_files(tmp_path: Path, number: signal.Signals) -> None:
     # In the background of a shell SIGINT is ignored, which child processes inherit.
     program = (
