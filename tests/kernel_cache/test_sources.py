@@ -35,6 +35,7 @@ def package(tmp_path: Path) -> Path:
     return tmp_path / "toy"
 
 
+@pytest.mark.slow
 def test_cached_kernel_uses_the_changed_constant_of_another_module(package: Path) -> None:
     def run() -> str:
         code = "from toy.inner.kernel import scale; print(scale(1.0), sum(scale.stats.cache_hits.values()))"

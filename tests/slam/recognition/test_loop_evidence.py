@@ -80,6 +80,7 @@ def test_looks_at_moved_furniture_do_not_bend_the_map() -> None:
     ]
 
 
+@pytest.mark.slow
 def test_less_must_be_mapped_near_the_estimate() -> None:
     """A lidar that sees half a circle shows other surfaces than before, but no equal place is near."""
     run = run_world("symmetric_room", 8918, "half-circle")
