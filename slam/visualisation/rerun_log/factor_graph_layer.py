@@ -128,7 +128,8 @@ class FactorGraphLayer:
         limits = BIN * np.arange(BINS + 1)
         limits[-1] = np.inf
         observed, _ = np.histogram(deviations, limits)
-        expected = -len(deviations) * np.diff(chi_square_tail(1, limits**2 / residuals.expected_wall_variance()))
+        tails = chi_square_tail(1, np.asarray(limits**2 / residuals.expected_wall_variance(), dtype=np.float64))
+        expected = -len(deviations) * np.diff(tails)
         middles, total = BIN * (np.arange(BINS) + 0.5), max(len(deviations), 1)
         for place, (name, counts, shade) in enumerate(
             (("observed", observed, colours.ESTIMATE), ("expected", expected, colours.ODOMETRY))
