@@ -314,6 +314,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_devices_are_halted_when_the_program_ends_and_can_be_restarted(peer: Any, tmp_path: Any, number: int) -> None:
     script = tmp_path / "consumer.py"

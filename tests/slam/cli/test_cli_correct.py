@@ -65,6 +65,7 @@ def pins(tmp_path: Path) -> Path:
     return tmp_path / "pins.csv"
 
 
+@pytest.mark.slow
 def test_pins_move_the_map_into_the_survey_and_a_wrong_one_is_named(wclm: Any, session: Path, pins: Path) -> None:
     before, stated = read_run_results(session).walls, pins.read_text().splitlines()[4].split(",")
     result = wclm("correct", session, "--pins", pins)

@@ -88,7 +88,8 @@ def furnished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return save(slam.session, tmp_path_factory.mktemp("run") / "out")
 
 
-@pytest.mark.parametrize("refine", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("refine", [False, True])
 def test_a_partition_that_is_gone_leaves_the_map_and_stays_in_the_session(
     furnished: Path, tmp_path: Path, refine: bool
 ) -> None:

@@ -33,6 +33,7 @@ def expectations(monkeypatch: pytest.MonkeyPatch) -> list[Expectation]:
     return found
 
 
+@pytest.mark.slow
 def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is_wrong(
     monkeypatch: pytest.MonkeyPatch, expectations: list[Expectation]
 ) -> None:
@@ -60,7 +61,8 @@ def test_a_loop_beyond_the_uncertainty_needs_evidence_by_which_the_covariance_is
     assert all(chosen.any() and not chosen[len(chosen) * 2 // 3 :].any() for chosen in known)
 
 
-@pytest.mark.parametrize("seed", [8713, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (8717, 9029))])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [8713, 8717, 9029])
 def test_furniture_that_was_moved_together_does_not_close_a_loop(seed: int, expectations: list[Expectation]) -> None:
     """Two thirds of what the lidar sees in the room fit a metre beside the right place, but not the long walls."""
     run = run_world("moved_furniture", seed, "half-circle")

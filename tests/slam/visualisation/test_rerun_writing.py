@@ -195,6 +195,7 @@ def test_a_server_keeps_at_most_256_megabytes_on_any_computer(tmp_path, monkeypa
     assert [int(limit.removesuffix("MB")) <= 256 for limit in limits] == [True]
 
 
+@pytest.mark.slow
 def test_the_oldest_files_but_the_first_are_deleted(tmp_path, monkeypatch):
     monkeypatch.setattr(rrd_writer, "MAX_PARTS", 3)
     with ReviewLog(tmp_path / "review.rrd", part_size=200_000) as review:
