@@ -16,7 +16,7 @@ class ScanLinks:
         self._travelled: Floats = np.array(mapper.travelled)
         self._observations: Integers = np.array(mapper.graph.wall_observations(), dtype=np.int64).reshape(-1, 2)
         matches = [(factor.first, factor.second) for factor in mapper.graph.matches()]
-        self._matches: Integers = np.array(matches, dtype=np.int64).reshape(-1, 2)
+        self._matches: Integers = np.sort(np.array(matches, dtype=np.int64).reshape(-1, 2), axis=1)  # the earlier first
 
     def connect(self, before: int, after: int) -> bool:
         """Return True if a scan shortly after a stretch shows what one shortly before it showed.
@@ -26,9 +26,10 @@ class ScanLinks:
         """
         start, end = self._travelled[before] - REFERENCE_DISTANCE, self._travelled[after] + REFERENCE_DISTANCE
         first, last = np.searchsorted(self._travelled, start), np.searchsorted(self._travelled, end, side="right") - 1
-        of_match = np.sort(self._matches, axis=1).T
-        if ((of_match[0] >= first) & (of_match[0] <= before) & (of_match[1] >= after) & (of_match[1] <= last)).any():
+        earlier, later = self._matches.T
+        if ((first <= earlier) & (earlier <= before) & (after <= later) & (later <= last)).any():
             return True
         keyframes, walls = self._observations.T
-        sides = ((keyframes >= first) & (keyframes <= before), (keyframes >= after) & (keyframes <= last))
-        return bool(np.intersect1d(*(walls[side] for side in sides)).size)
+        seen_before = walls[(first <= keyframes) & (keyframes <= before)]
+        seen_after = walls[(after <= keyframes) & (keyframes <= last)]
+        return bool(np.isin(seen_before, seen_after).any())
