@@ -83,6 +83,12 @@ class Estimator:
             return False
         return travelled[-1] - travelled[parts.current_first] > MAX_SEARCH_DISTANCE
 
+    @property
+    def in_largest_part(self) -> bool:
+        """True if the robot maps in a part of the map that, with those joined with it, is larger than any other."""
+        mapper = self.state.mapper
+        return self._frozen_state is None and mapper.landmarks.parts.current_is_largest(mapper.keyframe_count)
+
     def process(self, scan: ProcessedScan, timer: StageTimer | None = None) -> ScanResult:
         """Update the state by one scan. `timer` measures the stages."""
         resumed = self._test_earlier_part(scan)

@@ -31,6 +31,7 @@ class LocalisationEvent(Enum):
     STARTED_ANYWHERE = auto()  # a session continues from an unknown pose
     RELOCALISED = auto()  # the place was recognised in the map
     PLACED_BY_ODOMETRY = auto()  # the place was not recognised, odometry connects it to the map
+    PART_IS_LARGEST = auto()  # more was mapped since the pose was lost than in any part before: this is the map now
 
 
 _STATUS, _EVENT = LocalisationStatus, LocalisationEvent
@@ -49,6 +50,7 @@ TRANSITIONS = {
     (_STATUS.LOST, _EVENT.TRACKING_LOST): _STATUS.LOST,
     (_STATUS.LOST, _EVENT.RELOCALISED): _STATUS.OK,
     (_STATUS.LOST, _EVENT.PLACED_BY_ODOMETRY): _STATUS.OK,
+    (_STATUS.LOST, _EVENT.PART_IS_LARGEST): _STATUS.OK,
 }
 """New status by status and event. Pairs that are missing cannot occur."""
 

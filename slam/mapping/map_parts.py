@@ -100,6 +100,12 @@ class MapParts:
         """True if the last part is not connected with the first one."""
         return self.groups[-1] > 0
 
+    def current_is_largest(self, keyframes: int) -> bool:
+        """Return True if the group of the last part has more keyframes than any other, of `keyframes` in the map."""
+        sizes = np.zeros(len(self), dtype=np.int64)
+        np.add.at(sizes, self.groups, np.diff([*self.firsts, keyframes]))
+        return int(sizes.argmax()) == self.groups[-1]  # of equal ones, the first
+
     @property
     def current_first(self) -> int:
         """First keyframe of the group of the last part."""

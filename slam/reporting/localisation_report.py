@@ -28,7 +28,10 @@ class LocalisationReport:
         return self._machine.lost
 
     def update(self, stamp: float, result: ScanResult, estimator: Estimator) -> None:
-        """Update the status by a scan: lost, recognised, placed by odometry, or tracked.
+        """Update the status by a scan: lost, recognised, placed by odometry, in the largest part, or tracked.
+
+        A user who continues a map means that one, however small it is: the robot is LOST until it is recognised there.
+
 
         stamp      of the scan, seconds
         result     effects of the scan
@@ -54,6 +57,10 @@ class LocalisationReport:
             text = "the place is not in the map near the pose from odometry; it is mapped as a new place"
             self._publisher.publish(Notice(stamp, text, "INFO"))
             self.handle(stamp, LocalisationEvent.PLACED_BY_ODOMETRY)
+        elif estimator.in_largest_part and not self._statistics.started_anywhere:
+            text = "more is mapped since the pose was lost than before; this part of the map is the reference now"
+            self._publisher.publish(Notice(stamp, text, "INFO"))
+            self.handle(stamp, LocalisationEvent.PART_IS_LARGEST)
 
     def handle(self, stamp: float, event: LocalisationEvent) -> None:
         """Change the status by an event."""

@@ -127,6 +127,17 @@ def test_a_robot_carried_back_to_its_start_is_relocalised() -> None:
     assert outcome.result.stamps[-1] > 30.0
 
 
+def test_a_robot_that_is_carried_after_a_few_scans_is_lost_only_until_it_has_mapped_more() -> None:
+    outcome = run(kidnapped(office(37.0, lidar=replace(ROBOT, rate=5.0)), 2.0, 27.0))
+    summary = outcome.result.summary
+    health, parts = summary["health"], summary["parts"]
+    assert isinstance(health, dict)
+    assert isinstance(parts, list)
+    assert [part["joined"] for part in parts] == [True, False]
+    assert outcome.states == ["LOST", "OK"]
+    assert 0 < health["lost"] < 25  # of 60 scans
+
+
 @pytest.mark.slow
 def test_a_robot_that_people_surround_stays_in_its_part_of_the_map() -> None:
     outcome = run(surrounded(office(28.0, lidar=replace(ROBOT, beams=360)), 15.0, 18.0))

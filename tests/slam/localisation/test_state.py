@@ -35,9 +35,13 @@ def test_every_status_can_be_reached_and_left() -> None:
         assert any(old is status and new is not status for (old, _), new in TRANSITIONS.items())
 
 
-def test_a_lost_robot_becomes_ok_only_by_relocalisation_or_odometry() -> None:
+def test_a_lost_robot_becomes_ok_only_by_relocalisation_odometry_or_a_larger_map() -> None:
     ends = {event for (status, event), new in TRANSITIONS.items() if status == "LOST" and new != "LOST"}
-    assert ends == {LocalisationEvent.RELOCALISED, LocalisationEvent.PLACED_BY_ODOMETRY}
+    assert ends == {
+        LocalisationEvent.RELOCALISED,
+        LocalisationEvent.PLACED_BY_ODOMETRY,
+        LocalisationEvent.PART_IS_LARGEST,
+    }
 
 
 def test_a_bare_corridor_is_degenerate_along_its_direction_after_some_scans() -> None:

@@ -65,3 +65,11 @@ def test_maps_that_follow_each_other_are_joined() -> None:
     both = three_parts().followed_by(three_parts(), 30)
     assert both.firsts == [0, 10, 20, 30, 40, 50]
     assert both.groups == [0, 1, 2, 0, 4, 5]
+
+
+def test_the_largest_group_is_that_with_most_keyframes() -> None:
+    parts = MapParts([0, 10, 15], [0, 1, 2])
+    assert not parts.current_is_largest(25)  # as large as the first part
+    assert parts.current_is_largest(26)
+    assert not MapParts([0, 10, 15], [0, 0, 2]).current_is_largest(26)
+    assert MapParts([0, 10, 15], [0, 1, 1]).current_is_largest(21)
