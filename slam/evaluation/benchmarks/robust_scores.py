@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from ...events import Finished
 from ...geometry.segments import Floats
 from ...io.tum import Trajectory, read_tum
 from ...pipeline import Slam
+from ...preprocessing.deskew import lidar_mount
 from ..metrics import MIN_ALIGNED_PAIRS, read_relations, score_reference, score_relations
 from ..scan_agreement import BeamTable, ScanAgreement
 from .robust_drives import RELATIONS
@@ -138,7 +139,8 @@ class ScoredRun:
         for message in messages:
             slam.add(message)
             if isinstance(message, Scan):
-                self._beams.add(message)
+                mount = lidar_mount(message, slam.config.of_lidar(message.lidar))
+                self._beams.add(replace(message, mount=mount))
             elif isinstance(message, Odometry):
                 readings.append(message)
         self.finished: Finished = slam.finish()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,11 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.messages import Message, Source
+from drivers.messages import Message, Scan, Source
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation
-from slam.config import Config
+from slam import Slam
+from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.evaluation.benchmarks import robust
 from slam.evaluation.benchmarks.robust import Job, run_job, run_jobs
@@ -24,6 +26,7 @@ from slam.evaluation.benchmarks.robust_drives import VARIANTS, WORLDS, LaterMode
 from slam.evaluation.benchmarks.robust_scores import (
     PathScore,
     RobustResult,
+    ScoredRun,
     reference_errors,
     trajectory_errors,
     trajectory_errors_in_map,
@@ -34,6 +37,7 @@ from slam.evaluation.benchmarks.scenarios.later_drives import LaterDrive
 from slam.io.tum import Trajectory, write_tum
 
 LIDAR = LidarModel(beams=180, rate=6.0)
+NO_ERRORS = (math.nan, math.nan)
 
 
 def defaults(_: Source) -> Config:
@@ -110,6 +114,14 @@ def test_a_recording_is_scored_against_its_reference_and_odometry(folder: Path) 
     assert failed.name == "other/broken"
     assert "broken.clf" in failed.failed
     assert "internal error" not in failed.failed
+
+
+def test_scans_are_drawn_from_the_mount_of_the_settings() -> None:
+    drive = list(Simulation("room", seed=3, duration=7.0, lidar=LIDAR, mount=(0.2, 0.0, 2.0)))
+    stated = ScoredRun(Slam(), drive).result("", "", [NO_ERRORS] * 2)
+    unstated = [replace(message, mount=None) if isinstance(message, Scan) else message for message in drive]
+    slam = Slam(Config(lidar=LidarConfig(mount=(0.2, 0.0, 2.0))))
+    assert ScoredRun(slam, unstated).result("", "", [NO_ERRORS] * 2).slam.entropy == stated.slam.entropy
 
 
 @pytest.mark.slow
