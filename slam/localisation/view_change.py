@@ -46,6 +46,9 @@ SAME_PLACE_SHARE = MOST
 MARGIN = 0.15
 # Metres around the robot within which points are compared. Origin: definition.
 COMPARED_RADIUS = INDOOR_RANGE
+# Metres around the robot within which they are not: the largest error of the position in ODOMETRY_ERRORS turns nearer
+# points by more than the largest one of the heading. Origin: definition.
+NOT_COMPARED_RADIUS = ODOMETRY_ERRORS[:, 0].max() / np.tan(ODOMETRY_ERRORS[:, 2].max())
 # Points of a scan that are compared with others, evenly subsampled. Origin: chosen, for speed; not measured.
 MAX_COMPARED_POINTS = 120
 # Points that a scan without walls needs to be tracked, and both scans of a comparison: few points fit nearly
@@ -68,18 +71,19 @@ class View:
     points: Floats
 
     @property
-    def near(self) -> Floats:
-        """Points (p, 2) that are compared."""
-        return self.points[self._is_near]
+    def compared(self) -> Floats:
+        """Points (p, 2) that are compared with another scan."""
+        return self.points[self._are_compared]
 
     @property
-    def _is_near(self) -> NDArray[np.bool_]:
-        return np.asarray(np.hypot(self.points[:, 0], self.points[:, 1]) < COMPARED_RADIUS)
+    def _are_compared(self) -> NDArray[np.bool_]:
+        distances = np.hypot(self.points[:, 0], self.points[:, 1])
+        return np.asarray((distances > NOT_COMPARED_RADIUS) & (distances < COMPARED_RADIUS))
 
     @property
     def comparable(self) -> bool:
         """True if the scan has enough points for a comparison."""
-        return bool(np.count_nonzero(self._is_near) >= MIN_POINTS)
+        return bool(np.count_nonzero(self._are_compared) >= MIN_POINTS)
 
     def differs_from(self, other: View, motion: se2.Pose) -> bool:
         """Return True if another view, after a `motion` [x, y, heading] from this one, shows another place.
@@ -88,11 +92,12 @@ class View:
         """
         if not self.comparable or not other.comparable or wheel_travel(motion) > MAX_TRAVEL:
             return False
-        bearings = np.arctan2(self.points[:, 1], self.points[:, 0])
+        bearings, ranges = np.arctan2(self.points[:, 1], self.points[:, 0]), np.hypot(*self.points.T)
         order = np.argsort(bearings)
-        bearings, ranges = bearings[order], np.hypot(self.points[order, 0], self.points[order, 1])
+        order = order[ranges[order] > NOT_COMPARED_RADIUS]
+        bearings, ranges = bearings[order], ranges[order]
         limit = MISSING_STEPS * median(np.diff(bearings))
-        points = np.ascontiguousarray(subsample(other.near, MAX_COMPARED_POINTS))
+        points = np.ascontiguousarray(subsample(other.compared, MAX_COMPARED_POINTS))
         poses = se2.compose(motion, ODOMETRY_ERRORS)
         return bool(_agreeing_share(bearings, ranges, points, poses, limit) < SAME_PLACE_SHARE)
 

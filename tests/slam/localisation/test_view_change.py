@@ -60,6 +60,16 @@ def test_points_out_of_range_are_no_evidence() -> None:
     assert not View(READING, far).differs_from(View(READING, farther), ORIGIN)
 
 
+@pytest.mark.parametrize("covered", [0.4, 1.0])
+def test_what_touches_the_robot_is_no_evidence(covered: float) -> None:
+    """Its bearing changes by a large angle if the robot moves by some centimetres, and it may be on the robot."""
+    free, angles = seen_from([0.0, 0.0, 0.0]), np.linspace(-covered * np.pi, covered * np.pi, 500)
+    beyond = free.points[np.abs(np.arctan2(free.points[:, 1], free.points[:, 0])) > covered * np.pi]
+    touching = View(READING, np.concatenate([0.3 * np.column_stack([np.cos(angles), np.sin(angles)]), beyond]))
+    assert not free.differs_from(touching, ORIGIN)
+    assert not touching.differs_from(free, ORIGIN)
+
+
 @pytest.mark.parametrize("spacing", [1, 4, 16])
 def test_the_beams_may_be_far_apart(spacing: int) -> None:
     """Between two beams the surface continues: points of the next scan may lie anywhere on it."""
