@@ -54,6 +54,7 @@ class LaserProperties:
     mount: se2.Pose | None
     no_return: float  # metres; readings from this value on are no-returns
     per_metre: float  # units of the log's readings in a metre
+    has_odometry: bool  # false if the log has only zeros as the robot's pose, as that of a laser without a robot
 
 
 @dataclass(slots=True)
@@ -79,14 +80,14 @@ class _Stamps:
 class _OdometryFilter:
     """Filter for odometry that is repeated: laser lines contain the robot's odometry too."""
 
+    has_odometry: bool  # true once a pose is known to be measured: until then, zeros may stand for none
     last: tuple[float, ...] = ()
     from_scan: bool = False
-    has_odometry: bool = False
 
     def is_new(self, values: tuple[float, ...], from_scan: bool) -> bool:
         """Return true if the odometry (stamp, x, y, theta) of a laser line or an ODOM line is not a repetition."""
         if from_scan and not self.has_odometry and values[1:] == (0.0, 0.0, 0.0):
-            return False  # logs of a laser without a robot contain only zeros
+            return False
         repeated = values == self.last and (from_scan or self.from_scan)
         self.last, self.from_scan, self.has_odometry = values, from_scan, True
         return not repeated
@@ -124,7 +125,7 @@ class CarmenReader(RecordingReader):
         if corrected:
             self.interpret("written by GMapping, with its estimates in the odometry; the wheels' odometry is restored")
         lasers = {kind: self._calibrate(kind, lines) for kind in LASERS}
-        odometry = _OdometryFilter()
+        odometry = _OdometryFilter(has_odometry=any(laser.has_odometry for laser in lasers.values()))
         stamps = self._stamps(lines)
         for number, line in enumerate(lines, start=1):
             kind = line[:12].partition(b" ")[0]
@@ -160,7 +161,7 @@ class CarmenReader(RecordingReader):
         of_kind = [line for line in lines if line.startswith(start)]
         sample = list(_parsed(kind, of_kind[:: max(1, len(of_kind) // CALIBRATION_LINES)]))
         if not sample:
-            return LaserProperties(None, math.inf, 1.0)
+            return LaserProperties(None, math.inf, 1.0, has_odometry=False)
         poses = np.array([line.poses for line in sample])
         drive = (ScanInUnits(line.angles, line.readings, line.poses[:3]) for line in _parsed(kind, of_kind))
         per_metre = find_range_unit([line.readings for line in sample], drive, self)
@@ -168,7 +169,8 @@ class CarmenReader(RecordingReader):
         no_return = find_no_return(
             [np.where(line.readings < _stated_limit(line), line.readings, np.nan) for line in sample]
         )
-        return LaserProperties(_estimate_mount(poses), math.inf if no_return is None else no_return, per_metre)
+        limit = math.inf if no_return is None else no_return
+        return LaserProperties(_estimate_mount(poses), limit, per_metre, has_odometry=bool(poses[:, 3:].any()))
 
     def _stamps(self, lines: list[bytes]) -> _Stamps:
         if not clock_stands(lines):

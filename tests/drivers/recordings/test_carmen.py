@@ -112,6 +112,11 @@ def test_log_without_a_robot_has_no_odometry(tmp_path: Path) -> None:
     assert [type(message) for message in messages] == [Scan, Scan]
 
 
+def test_a_robot_that_stands_at_the_origin_at_first_has_odometry(tmp_path: Path) -> None:
+    messages, _ = read(tmp_path, flaser(1.0) + flaser(2.0) + flaser(3.0, pose="0.1 0 0"))
+    assert [type(message) for message in messages] == [Odometry, Scan] * 3
+
+
 def test_no_return_value_of_an_unknown_laser_is_determined(tmp_path: Path) -> None:
     text = "".join(flaser(i, f"1.{i:02d} 29.99 29.99 2.0") for i in range(1, 30))
     scan = read(tmp_path, text)[0][-1]
