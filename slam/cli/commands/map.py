@@ -70,7 +70,7 @@ def export_map(
 
     Example: [bold]wclm map results/intel --format pgm[/bold]
     """
-    from ...errors import OutputError
+    from ...errors import MapError, OutputError
     from ...io.exports import write_dxf, write_geojson, write_ply, write_svg
     from ...io.output_dir import EXPORTED, POINTS
     from ...io.run_results import read_run_results
@@ -94,7 +94,8 @@ def export_map(
             size = _write_graph(unfinished, session)
         elif form is Format.PLY:
             points = write_ply(unfinished, _scans(read, recording))
-            _check_overlap(points, read, recording)
+            if not points:
+                raise MapError(f"{session}: no beam of any scan hit anything, so there are no points")
             size = f"{points} points"
         else:
             {Format.GEOJSON: write_geojson, Format.SVG: write_svg, Format.DXF: write_dxf}[form](unfinished, read)
@@ -126,7 +127,7 @@ def _write_pgm(
     settings = target.with_suffix(".yaml")
     with unfinished_file(target, overwrite) as picture, unfinished_file(settings, overwrite) as yaml:
         grid = OccupancyGrid(resolution)
-        _check_overlap(grid.add_all(_scans(session, recording)), session, recording)
+        grid.add_all(_scans(session, recording))
         occupancy = grid.occupancy(Thresholds(*thresholds))
         write_pgm(picture, occupancy)
         write_pgm_yaml(yaml, occupancy, image=target.name)
@@ -151,25 +152,22 @@ def _write_graph(file: Path, session: Path) -> str:
 
 
 def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
-    """Return the scans of the recording in the map, or those that the session keeps if the run was not recorded."""
-    from ...io.exports import place_scans, place_stored_scans
+    """Return the scans of the recording in the map, or those that the session keeps if the run was not recorded.
+
+    If they are other scans than those that the session keeps, the iterator raises MapError at the end.
+    """
+    from ...io.exports import place_scans, place_stored_scans, same_scans
     from ...io.recordings import has_recording, open_recording
     from ...io.sessions import is_session, read_session
 
-    if recording is None and not has_recording(session) and is_session(session.path):
+    kept: Iterator[PlacedScan] = iter(())
+    if is_session(session.path):
         stored = read_session(session.path)
-        if stored.slam_state.mapper.keyframe_count:
+        kept = place_stored_scans(stored, session.trajectory, session.mounts()[:, :2])
+        if recording is None and not has_recording(session) and stored.slam_state.mapper.keyframe_count:
             print_message(f"{session.path}: the run was not recorded; the points that its session keeps are used")
-            return place_stored_scans(stored, session.trajectory, session.mounts()[:, :2])
+            return kept
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
-    return place_scans(messages, session.trajectory, session.config())
-
-
-def _check_overlap(count: int, session: RunResults, recording: str | None) -> None:
-    """Raise MapError if no scan of the recording is at a time of the path, as with the recording of another drive."""
-    from ...errors import MapError
-
-    if not count:
-        name = recording or session.summary.get("recording_path")
-        raise MapError(f"{session.path}: {name} has no scan at the times of its path; is it another recording?")
+    scans = place_scans(messages, session.trajectory, session.config(), session.mounts())
+    return same_scans(scans, kept, session.path, source.name)

@@ -3,14 +3,20 @@
 import json
 import re
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from drivers import se2
+from drivers.messages import Scan
+from drivers.recordings.mcap import McapWriter
+from drivers.simulation import LidarModel, Simulation
 from slam import extras
 from slam.io.json_files import write_json
+from slam.io.run_results import read_run_results
 
 FORMATS = ("pgm", "geojson", "svg", "dxf", "ply")
 
@@ -105,6 +111,35 @@ def test_missing_recording_is_an_error_and_can_be_replaced(wclm: Any, fake_slam:
     other = ("map", "out", "--format", "pgm", "--overwrite", "--recording", "late.mcap")
     wclm.refuses(*other, because=["late.mcap has no scan at the times of its path"])
     wclm.refuses(*other[:-1], "nowhere.mcap", because=["nowhere.mcap: no such file"])
+
+
+def test_the_recording_of_another_drive_is_refused(wclm: Any) -> None:
+    for world in ("room", "office"):
+        assert wclm("simulate", world, f"{world}.mcap", "--duration", "3").exit_code == 0
+    assert wclm("run", "room.mcap", "--out", "out", "--no-review").exit_code == 0
+    for form in ("pgm", "ply"):
+        other = ("map", "out", "--format", form, "--recording", "office.mcap")
+        wclm.refuses(*other, because=["out: its map was not made from the scans of office.mcap"])
+        assert wclm("map", "out", "--format", form).exit_code == 0
+
+
+def test_points_are_where_the_walls_are_if_the_mount_was_found(wclm: Any) -> None:
+    """The recording does not state that the lidar points backwards."""
+    drive = Simulation("office", duration=20.0, lidar=LidarModel(beams=180, rate=5.0), mount=(0.0, 0.0, np.pi))
+    with McapWriter(Path("drive.mcap")) as writer:
+        for message in drive:
+            writer.write(replace(message, mount=None) if isinstance(message, Scan) else message)
+    result = wclm("run", "drive.mcap", "--out", "out", "--no-review")
+    assert "lidar turned by" in result.stdout
+    assert wclm("map", "out", "--format", "ply").exit_code == 0
+    body = Path("out/points.ply").read_bytes().split(b"end_header\n")[1]
+    points = np.frombuffer(body, dtype="<f4").reshape(-1, 3)[:, :2].astype(np.float64)
+    walls = read_run_results(Path("out")).walls
+    on_walls = np.zeros(len(points), dtype=bool)
+    for frame, low, high in zip(walls.frame, walls.low, walls.high, strict=True):
+        along, across = se2.transform(se2.inverse(frame), points).T
+        on_walls |= (np.abs(across) < 0.05) & (along > low) & (along < high)
+    assert on_walls.mean() > 0.8
 
 
 def test_summary_without_recording_is_an_error(wclm: Any, ran: Path) -> None:
