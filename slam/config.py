@@ -10,12 +10,15 @@ import math
 import tomllib
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
 
 from .bounds import MAX_MOUNT, MAX_ODOMETRY_DEVIATION, MAX_TURN
 from .errors import ConfigurationError, shortened
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Deviation = Annotated[float, Field(allow_inf_nan=False, le=MAX_ODOMETRY_DEVIATION)]
@@ -246,16 +249,24 @@ def _validated(data: dict[str, Any], place: str) -> Config:
         return Config.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
-        name = shortened(".".join(str(part) for part in first["loc"]))
-        message = first["msg"].removeprefix("Value error, ")
-        reason = message[:1].lower() + message[1:]
-        if first["type"] == "model_type":
-            reason = "must be a group of settings"
-        elif first["type"] == "extra_forbidden":
-            reason = f"no such setting; known are {', '.join(_names(first['loc'][:-1]))}"
-        elif first["type"] == "tuple_type":
-            reason = "must be a list of numbers, e.g. [0.1,0,0]"
-        raise ConfigurationError(f"{place}: {name}: {reason}") from error
+        raise ConfigurationError(f"{place}: {_name_and_reason(first)}") from error
+
+
+def _name_and_reason(error: ErrorDetails) -> str:
+    """Return the name of a setting and why it is invalid."""
+    location, kind, value = error["loc"], error["type"], error["input"]
+    message = error["msg"].removeprefix("Value error, ")
+    reason = message[:1].lower() + message[1:]
+    if kind == "model_type":
+        reason = "must be a group of settings"
+    elif kind == "extra_forbidden":
+        reason = f"no such setting; known are {', '.join(_names(location[:-1]))}"
+    elif kind in ("tuple_type", "too_long") or (kind == "missing" and isinstance(location[-1], int)):
+        location = location[:2]  # the setting, not a number of it
+        reason = "must be a list of three numbers, e.g. [0.1,0,0]"
+    elif isinstance(value, float) and not math.isfinite(value):
+        reason = "input should be a finite number"
+    return f"{shortened('.'.join(str(part) for part in location))}: {reason}"
 
 
 def _names(location: tuple[int | str, ...]) -> list[str]:

@@ -56,7 +56,11 @@ def require_results(path: Path) -> None:
 
 def refuse_results(recording: str) -> str:
     """Return the name of a recording; raises MapError if it is a directory with the map of a run instead."""
-    if (Path(recording) / MAP).is_file():
+    try:
+        has_map = (Path(recording) / MAP).is_file()
+    except OSError as error:
+        raise MapError(f"{recording}: cannot be read: {error.strerror or error}") from error
+    if has_map:
         raise MapError(
             f"{recording}: contains the results of a run and no recording; wclm review {recording} shows them, "
             f"wclm run RECORDING --continue {recording} extends the map, wclm optimize {recording} refines it"
@@ -134,7 +138,10 @@ class OutputDirectory:
             if name not in RESULTS | DEMO_RESULTS | PLAN_RESULTS | GRAPH_RESULTS | EXPORTS and not _is_log_part(name)
         ]
         if foreign:
-            raise OutputError(f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten")
+            raise OutputError(
+                f"{self.path}: contains {foreign[0]}, which is not a result of a run; not overwritten: move it, or "
+                "choose another directory"
+            )
 
     def announce(self, change: Callable[[RunAnnouncement], RunAnnouncement]) -> None:
         """Change what this process announces to others, which `running_process` reads; may be called in any thread.

@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import MapError
 from ...formatting import counted
 from ...io.host import versions
-from ...io.output_dir import CONFIG, KEYFRAMES, MAP, SESSION, SUMMARY, TRAJECTORY, OutputDirectory
+from ...io.output_dir import CONFIG, EXPORTS, KEYFRAMES, MAP, PICTURE, SESSION, SUMMARY, TRAJECTORY, OutputDirectory
 from ...io.run_results import read_run_results, write_results
 from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
@@ -37,6 +37,7 @@ def write_corrected_session(
     results = read_run_results(base)
     check_page(results)  # the new page shows parts of its summary
     session = read_session(base)
+    stale = sorted(name for name in EXPORTS | {PICTURE} if (target / name).exists())
     with OutputDirectory(target, overwrite or out is None) as directory:
         for log in sorted(path.glob(LOGS)):
             shutil.copy2(log, directory)
@@ -49,9 +50,10 @@ def write_corrected_session(
         else:
             _copy_results(base, directory)
     write_report_page(target)
+    removed = [f"  removed, as they show the map before: {', '.join(stale)}"] if stale else []
     if not corrections:
-        return [f"{target}: no corrections"]
-    return [f"{target}: {counted(len(corrected.finished.walls), 'wall')}", *_lines(corrected.outcomes)]
+        return [f"{target}: no corrections", *removed]
+    return [f"{target}: {counted(len(corrected.finished.walls), 'wall')}", *_lines(corrected.outcomes), *removed]
 
 
 def _copy_results(source: Path, directory: Path) -> None:

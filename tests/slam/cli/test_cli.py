@@ -1,5 +1,6 @@
 """`wclm`: help, `run` and `demo`, and the files that remain after a failure."""
 
+import errno
 import json
 import os
 import re
@@ -311,6 +312,14 @@ def test_results_are_refused_as_recording_before_options_are_missed(wclm: Any, t
     (tmp_path / "map" / "map.json").write_text("{}")
     hints = ("wclm review map", "--continue map", "wclm optimize map")
     wclm.refuses(command, "map", because=["map: contains the results of a run and no recording", *hints])
+
+
+def test_a_directory_without_permission_is_refused(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def denied(_: Path) -> bool:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "is_file", denied)
+    wclm.refuses("info", "locked", because=["locked: cannot be read: Permission denied"])
 
 
 def test_recordings_in_a_directory_are_named(wclm: Any, tmp_path: Path) -> None:

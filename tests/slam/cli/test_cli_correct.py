@@ -116,7 +116,9 @@ def test_a_pinned_point_on_a_wall_moves_it(wclm: Any, session: Path, tmp_path: P
 def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, session: Path) -> None:
     files = {name: (session / name).read_bytes() for name in (TRAJECTORY, KEYFRAMES, MAP, SUMMARY)}
     wall = int(read_run_results(session).walls.identity[0])
-    assert wclm("correct", session, "--delete-wall", wall).exit_code == 0
+    assert wclm("map", session, "--format", "svg").exit_code == 0
+    assert "removed, as they show the map before: map.svg" in wclm("correct", session, "--delete-wall", wall).stdout
+    assert not (session / "map.svg").exists()
     assert wall not in read_run_results(session).walls.identity
     mapper = read_session(session).slam_state.mapper
     converge(mapper)
