@@ -35,19 +35,22 @@ class RowBatch:
     started   time of the first row, on the clock of time.monotonic
     shown_at  time when viewers have received rows last, at first `started`
     max_age   seconds that the first row waits
+    dates     true if sensor times are written as dates
     shown     number of rows that viewers have received
     """
 
     started: float
     shown_at: float
     max_age: float
+    dates: bool
     rows: list[Row] = field(default_factory=list)
     times: list[dict[str, int]] = field(default_factory=list)
     shown: int = 0
 
     def send(self, stream: rr.RecordingStream, entity: str, first: int) -> None:
         """Send the rows from number `first` on."""
-        indexes = [time_column(name, [row[name] for row in self.times[first:]]) for name in self.times[0]]
+        times = {name: [row[name] for row in self.times[first:]] for name in self.times[0]}
+        indexes = [time_column(name, values, dates=self.dates) for name, values in times.items()]
         stream.send_columns(entity, indexes=indexes, columns=columns_of(self.rows[first:]))
 
 

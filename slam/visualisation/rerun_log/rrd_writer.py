@@ -13,13 +13,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from drivers.timestamps import MIN_EPOCH_STAMP
-
 from ...errors import OutputError
 from ...io.disk_reserve import free_space
 from .log_files import part_name
 from .row_batches import Archetype, Row, RowBatch, Values, columns_of
-from .timelines import CANDIDATE, CLOSURE, KEYFRAME, SENSOR_TIME
+from .timelines import CANDIDATE, CLOSURE, KEYFRAME, SENSOR_TIME, is_date
 from .viewer import ViewerServer
 
 APPLICATION = "wclm-slam"  # the viewer stores layouts by this name
@@ -77,6 +75,7 @@ class RrdWriter:
         self._layout = layout
         self._static: dict[tuple[str, str], Archetype] = {}
         self._now: dict[str, int] = {}
+        self._dates: bool | None = None  # true if sensor times are written as dates, as the first one is
         self._stream_times: dict[str, int] = {}  # current time of the streams
         self._batches: dict[_BatchKey, RowBatch] = {}
         self._changed: dict[str, dict[tuple[str, ...], Archetype | Row]] = {CANDIDATE: {}, CLOSURE: {}}
@@ -132,7 +131,8 @@ class RrdWriter:
         key = entity, archetype.__name__, KEYFRAME in self._now
         batch = self._batches.get(key)
         if batch is None:
-            batch = self._batches[key] = RowBatch(now, now, self._max_age if max_age is None else max_age)
+            age = self._max_age if max_age is None else max_age
+            batch = self._batches[key] = RowBatch(now, now, age, bool(self._dates))
         batch.rows.append(row)
         batch.times.append(self._now)
         self._remember(entity, row)
@@ -219,6 +219,8 @@ class RrdWriter:
     def set_time(self, stamp: float, keyframe: int | None) -> None:
         """Set the time of the next rows: the sensor time (seconds) and the keyframe, None between keyframes."""
         nanoseconds = round(1e9 * stamp)
+        if self._dates is None:  # a timeline of two types would damage the log
+            self._dates = is_date(nanoseconds)
         self._now = {SENSOR_TIME: nanoseconds} | ({} if keyframe is None else {KEYFRAME: keyframe})
 
     def _set_stream_times(self) -> None:
@@ -228,7 +230,7 @@ class RrdWriter:
         self._stream_times = self._now
         nanoseconds, keyframe = self._now[SENSOR_TIME], self._now.get(KEYFRAME)
         for stream in self._streams:
-            if nanoseconds > 1e9 * MIN_EPOCH_STAMP:
+            if self._dates:
                 stream.set_time(SENSOR_TIME, timestamp=np.datetime64(nanoseconds, "ns"))
             else:
                 stream.set_time(SENSOR_TIME, duration=np.timedelta64(nanoseconds, "ns"))

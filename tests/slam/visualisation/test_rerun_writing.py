@@ -314,3 +314,18 @@ def test_files_are_also_begun_where_there_are_no_keyframes(tmp_path, monkeypatch
     files = log_parts(path)
     assert len(files) > 1
     assert sum(len(list(rows(file, "/world/robot", "Transform3D:translation"))) for file in files) == scans
+
+
+@pytest.mark.parametrize("stamps", [(5.0, 1.7e9), (1.7e9, 5.0)])
+def test_sensor_times_have_one_type_in_a_log(tmp_path, stamps):
+    """A computer without a clock counts from 1970 until it has received the time; so may drives that are merged."""
+    path = tmp_path / "review.rrd"
+    writer = RrdWriter(path, layout(Extent(*NO_MAP)))
+    for number, stamp in enumerate(stamps):
+        writer.set_time(stamp, number)
+        writer.log("/text", rr.TextDocument(str(number)))
+        writer.log_batched("/value", rr.Scalars, scalars=np.array([1.0]))
+    writer.close()
+    schemas = [chunk.to_record_batch().schema for chunk in chunks_of([path]) if "sensor_time" in chunk.timeline_names]
+    assert len({str(schema.field("sensor_time").type) for schema in schemas}) == 1
+    assert {chunk.entity_path for chunk in chunks_of([path])} >= {"/text", "/value"}
