@@ -320,7 +320,7 @@ def test_files_are_also_begun_where_there_are_no_keyframes(tmp_path, monkeypatch
 def test_sensor_times_have_one_type_in_a_log(tmp_path, stamps):
     """A computer without a clock counts from 1970 until it has received the time; so may drives that are merged."""
     path = tmp_path / "review.rrd"
-    writer = RrdWriter(path, layout(Extent(*NO_MAP)))
+    writer = RrdWriter(path, layout(Extent(*NO_MAP)), max_age=-1.0)  # each row in a chunk of its own
     for number, stamp in enumerate(stamps):
         writer.set_time(stamp, number)
         writer.log("/text", rr.TextDocument(str(number)))
