@@ -30,6 +30,14 @@ def to_seconds(nanoseconds: int) -> float:
     return nanoseconds / NANOSECONDS
 
 
+def follows(stamp: float, latest: float) -> bool:
+    """Return True if a stamp may be one after the latest of earlier measurements: later, and not on another clock.
+
+    The clock is another one if it counts from 1970, and the one of the earlier measurements does not.
+    """
+    return stamp > latest and not -math.inf < latest < MIN_EPOCH_STAMP < stamp
+
+
 def wall_clock_offset() -> float:
     """Return the offset (seconds) from the host's monotonic clock to its wall clock (since 1970) as it is set now."""
     readings = []

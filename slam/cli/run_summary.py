@@ -107,7 +107,8 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
     recordings = summary.get("recordings") or [{}]
     if shift := recordings[-1].get("shift"):
         where = "" if len(recordings) > 1 else f"in {TRAJECTORY} as recorded; in the other files "
-        rows.append(("stamps", f"{where}{shift:.0f} s later than recorded, to follow those of the session"))
+        moved = f"{abs(shift):.0f} s {'later' if shift > 0 else 'earlier'}"
+        rows.append(("stamps", f"{where}{moved} than recorded, to follow those of the session"))
     rows += [("read as", text) for text in summary.get("interpretations") or ()]
     rows += [("device", _device(device)) for device in summary.get("devices", ())]
     if losses := log_losses_text(summary.get("review") or {}):

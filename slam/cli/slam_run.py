@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Message
+from drivers.timestamps import follows
 from drivers.timing.watched_view import watched
 
 from ..config import Config, config_to_toml
@@ -197,7 +198,7 @@ def review_log(
 
 
 def _shifted(messages: Iterable[Message], after: float, statistics: InputStatistics) -> Iterator[Message]:
-    """Yield the messages; shift all stamps to later than `after` (seconds) if the first one is earlier than that."""
+    """Yield the messages; shift all stamps to just after `after` (seconds), as `shift_after` says."""
     for message in messages:
         if statistics.first == np.inf:
             statistics.shift = shift_after(message.stamp, after)
@@ -205,11 +206,11 @@ def _shifted(messages: Iterable[Message], after: float, statistics: InputStatist
 
 
 def shift_after(first: float, after: float) -> float:
-    """Return the seconds by which stamps are shifted if the first one is earlier than `after`, else zero.
+    """Return the seconds by which stamps are shifted if the first one does not follow `after`, else zero.
 
     Such stamps do not tell what happened in between: they follow so late that no run seems to have been interrupted.
     """
-    return float(np.ceil(after - first)) + MAX_BREAK + 1.0 if first < after else 0.0
+    return 0.0 if first == after or follows(first, after) else float(np.ceil(after - first)) + MAX_BREAK + 1.0
 
 
 def process_messages(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
+from drivers.timestamps import follows
 
 from ...graph.factors import Factor
 from ...io.sessions import StoredSession
@@ -41,10 +42,10 @@ class IndexOffsets:
 
 
 def clock_shift(session: StoredSession, after: float) -> float:
-    """Return the seconds to add to a session's stamps so that it starts later than `after` (seconds); 0 if it does."""
+    """Return the seconds to add to a session's stamps so that they follow `after` (seconds); 0 if they do."""
     starts = [float(history.stamps[0]) for history in session.odometry if len(history)]
     first = min([session.scans[0].stamp, *starts])
-    return 0.0 if first > after else math.ceil(after - first) + MIN_CLOCK_GAP
+    return 0.0 if follows(first, after) else math.ceil(after - first) + MIN_CLOCK_GAP
 
 
 def shift_clock(session: StoredSession, shift: float) -> StoredSession:
