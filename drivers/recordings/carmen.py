@@ -6,6 +6,7 @@ Lines other than those in `carmen_lines` (PARAM, SYNC, comments, ...) are ignore
 from __future__ import annotations
 
 import bz2
+import codecs
 import gzip
 import math
 import re
@@ -119,7 +120,7 @@ class CarmenReader(RecordingReader):
         content, damage = _content(self.path)
         if not content.strip():
             raise RecordingError(self.path, None, damage or "is empty")
-        lines = content.split(b"\n")
+        lines = content.removeprefix(codecs.BOM_UTF8).split(b"\n")
         del content  # the lines are kept while they are read
         wheels, corrected = WheelOdometry(), remove_estimates(lines)
         if corrected:
@@ -148,7 +149,7 @@ class CarmenReader(RecordingReader):
                     if odometry.is_new(values, from_scan=True):
                         yield number, Odometry(parsed.stamp, parsed.poses[3:].copy())
                     yield number, _scan(parsed, lasers[kind])
-                elif line and not _TEXT.match(line.strip()):
+                elif (text := line.strip()) and not _TEXT.match(text):
                     raise ValueError("does not begin with the name of a message")
             except ValueError as error:
                 self.skip(number, _reason(kind, error))

@@ -191,7 +191,7 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
     warnings += info.report.doubts
     if info.report.skipped:
         warnings.append(f"{_count(info.report.skipped, 'entry', 'entries')} skipped, first {info.report.first}")
-    if info.report.skipped > 1:  # the reason of a single one is stated
+    if len(info.report.reasons) > 1:  # the first one is stated
         warnings += [f"{reason} ({_count(count, 'time')})" for reason, count in info.report.reasons.items()]
     return warnings
 

@@ -70,6 +70,8 @@ def heading_of(quaternion: Any) -> float:
     """Return the heading in [-pi, pi) of a quaternion with members x y z w; raises ValueError if its norm is not 1."""
     x, y, z, w = quaternion.x, quaternion.y, quaternion.z, quaternion.w
     norm = math.sqrt(x * x + y * y + z * z + w * w)
+    if math.isnan(norm):
+        raise ValueError("orientation is not a number")
     if not 0.9 < norm < 1.1:
         raise ValueError("orientation is not a unit quaternion")
     if x == 0.0 and y == 0.0:

@@ -22,6 +22,17 @@ def check_plots_extra(plot: bool) -> bool:
     return plot
 
 
+def check_picture(path: Path | None) -> Path | None:
+    """Check before a command starts that a picture can be drawn. Raises BadParameter or MissingExtraError."""
+    if path is not None:
+        if path.suffix != ".png":
+            raise typer.BadParameter(f"{path}: the name must end with .png")
+        if not path.parent.is_dir():
+            raise typer.BadParameter(f"{path}: there is no directory {path.parent}")
+        require_extra("plots")
+    return path
+
+
 def parse_pose(text: str | None, option: str) -> se2.Pose | None:
     """Return the pose (3,) [x, y, heading] that an option states; raises BadParameter if it is not three numbers."""
     import numpy as np

@@ -123,7 +123,7 @@ def format_summary(result: RunResult, out: Path) -> list[str]:
     if result.review:
         rows.append(("view with", f"wclm review {out}"))
     head = (
-        f"{summary['recording']}: {summary['scans']} scans in {summary['duration']:.1f} s, "
+        f"{summary['recording']}: {counted(summary['scans'], 'scan')} in {summary['duration']:.1f} s, "
         f"{summary['path_length']:.1f} m driven"
     )
     return [printable(line) for line in [head, *(f"  {name:<11}{text}" for name, text in rows), *_suspects(summary)]]

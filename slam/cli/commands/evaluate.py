@@ -10,6 +10,7 @@ import typer
 
 from ...io.output_dir import TRAJECTORY
 from ..console import print_message
+from ..options import check_picture
 
 if TYPE_CHECKING:
     from ...evaluation.metrics import Relations
@@ -41,7 +42,9 @@ def evaluate(
             help="Recording of the drive: count the relations at which its scans fit better along the trajectory.",
         ),
     ] = None,
-    plot: Annotated[Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the errors.")] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", metavar="FILE.png", callback=check_picture, help="Picture of the errors.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON instead of text.")] = False,
 ) -> None:
     """Score a trajectory against relations or a reference trajectory.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from ..options import OtherRecordingArgument, SetOption
+from ..options import OtherRecordingArgument, SetOption, check_picture
 
 if TYPE_CHECKING:
     from drivers.messages import Scan
@@ -30,7 +30,10 @@ def features(
     recording: OtherRecordingArgument,
     scan: Annotated[int, typer.Option("--scan", min=0, help="Index of the scan, from 0.")],
     plot: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE.png", help="Picture of the scan and its features.")
+        Path | None,
+        typer.Option(
+            "--plot", metavar="FILE.png", callback=check_picture, help="Picture of the scan and its features."
+        ),
     ] = None,
     settings: SetOption = None,
 ) -> None:

@@ -55,6 +55,8 @@ def run(
     from ..run_summary import format_summary
     from ..slam_run import run_slam
 
+    if refine and localized is not None:
+        raise typer.BadParameter("is for runs that extend a map, not for --localize", param_hint="--refine")
     OutputDirectory(out, overwrite).check()  # before the recording is read, which takes seconds
     start = prepare_run(
         continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())

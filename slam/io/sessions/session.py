@@ -96,7 +96,10 @@ def read_session(path: Path, *, solve: bool = True) -> StoredSession:
     require_results(path)
     folder = path / SESSION
     if not is_session(path):
-        raise MapError(f"{path}: has no {SESSION}/{HEADER}, so it cannot be continued or refined; run `wclm run` again")
+        raise MapError(
+            f"{path}: has no {SESSION}/{HEADER}, so it cannot be continued, refined or corrected: it is damaged, or "
+            "the run only localised the robot in another map"
+        )
     header = read_header(folder / HEADER)
     config = load_config(path / CONFIG)
     scans = read_scans(folder / SCANS, folder / RECENT_KEYFRAMES)

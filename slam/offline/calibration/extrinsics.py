@@ -128,7 +128,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     """Run one round: map the drive with corrected odometry, then fit the six unknowns to the original odometry."""
     readings = [message for message in drive if isinstance(message, Odometry)]
     if len(readings) < MIN_PAIRS:
-        raise MapError(f"{len(readings)} odometry readings are too few to calibrate from")
+        raise MapError("odometry readings are too few to calibrate from")
     stamps, poses = np.array([r.stamp for r in readings]), np.array([r.pose for r in readings])
     slam = Slam(config)
     for message in _replace_odometry(drive, correction.apply(poses)):
@@ -137,7 +137,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     lidar = se2.compose(finished.keyframes, mount)
     observed = se2.between(lidar[:-1], lidar[1:])
     if len(observed) < MIN_PAIRS:
-        raise MapError(f"{len(observed)} pairs of keyframes are too few to calibrate from; drive for longer")
+        raise MapError("keyframes are too few to calibrate from; drive for longer")
     turned = float(np.abs(observed[:, 2]).sum())
     if turned < MIN_TOTAL_TURN:
         raise MapError(f"the robot turned by {turned:.1f} rad in total, which is too little; drive some curves")

@@ -112,6 +112,14 @@ def test_log_without_a_robot_has_no_odometry(tmp_path: Path) -> None:
     assert [type(message) for message in messages] == [Scan, Scan]
 
 
+def test_files_of_windows_are_read(tmp_path: Path) -> None:
+    """With a mark of their encoding, and empty lines."""
+    text = (odom(1.0) + flaser(1.0)).replace("\n", "\r\n\r\n")
+    messages, source = read(tmp_path, b"\xef\xbb\xbf" + text.encode())
+    assert [type(message) for message in messages] == [Odometry, Scan]
+    assert source.report.skipped == 0
+
+
 def test_a_robot_that_stands_at_the_origin_at_first_has_odometry(tmp_path: Path) -> None:
     messages, _ = read(tmp_path, flaser(1.0) + flaser(2.0) + flaser(3.0, pose="0.1 0 0"))
     assert [type(message) for message in messages] == [Odometry, Scan] * 3

@@ -314,6 +314,11 @@ def test_results_are_refused_as_recording_before_options_are_missed(wclm: Any, t
     wclm.refuses(command, "map", because=["map: contains the results of a run and no recording", *hints])
 
 
+def test_refinement_is_refused_if_the_map_is_not_extended(wclm: Any) -> None:
+    refused = ("run", "a.clf", "--localize", "map", "--refine", "--out", "out")
+    wclm.refuses(*refused, because=["--refine: is for runs that extend a map, not for --localize"])
+
+
 def test_a_directory_without_permission_is_refused(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def denied(_: Path) -> bool:
         raise PermissionError(errno.EACCES, "Permission denied")

@@ -115,6 +115,12 @@ def scored(tmp_path: Path) -> None:
     (tmp_path / "a.relations").write_text("".join(f"{k} {k + 3} 3 0 0 0 0 0\n" for k in range(15)))
 
 
+@pytest.mark.parametrize("picture", ["scan.pdf", "nowhere/scan.png"])
+def test_pictures_that_cannot_be_written_are_refused_at_once(wclm: Any, picture: str) -> None:
+    for command in (("features", "missing.clf", "--scan", "0"), ("eval", "missing", "--reference", "missing.tum")):
+        wclm.refuses(*command, "--plot", picture, because=[f"'--plot': {picture}: the"])
+
+
 @pytest.mark.usefixtures("scored")
 def test_eval_scores_relations(wclm: Any, tmp_path: Path) -> None:
     score = ("eval", "a.tum", "--relations", "a.relations")

@@ -42,7 +42,7 @@ HYPOTHESIS = {"motion": [0.0, 0.0, 0.0], "support": [MATCH], "contradictions": [
 
 def test_directory_without_session_is_refused(tmp_path: Path) -> None:
     assert not is_session(tmp_path)
-    with pytest.raises(MapError, match=r"has no session/session.json, so it cannot be continued or refined"):
+    with pytest.raises(MapError, match=r"has no session/session.json, so it cannot be continued, refined or corrected"):
         read_session(tmp_path)
     with pytest.raises(MapError, match="no such directory"):
         read_session(tmp_path / "nowhere")
