@@ -56,13 +56,17 @@ class LidarSelection:
 
 
 def open(
-    spec: str | Path, lidar: LidarSelection | BeamOrder = "auto", second_lidar: LidarSelection | None = None
+    spec: str | Path,
+    lidar: LidarSelection | BeamOrder = "auto",
+    second_lidar: LidarSelection | None = None,
+    odometry_topic: str = "",
 ) -> Source:
     """Return the source that a path, `sim:WORLD?seed=3&duration=60`, `replay:FILE?speed=2` or a device list specifies.
 
     lidar         which scans of a recording are read, and how; or only the order of their beams. Simulations and
                   devices need none
     second_lidar  the same for the scans of a second lidar, whose topic must be named; None: there is none
+    odometry_topic  of a ROS recording; empty: the one with the most messages
 
     Raises RecordingError if the path does not exist, its format is not supported, or topics are named that it cannot
     have; the content is read when the source is iterated. Only the libraries of the format in question are imported.
@@ -72,6 +76,7 @@ def open(
     first = lidar if isinstance(lidar, LidarSelection) else LidarSelection(beam_order=lidar)
     source = _open(spec)
     _select(spec, recording_of(source), first)
+    _select_odometry(spec, recording_of(source), odometry_topic)
     if second_lidar is None:
         return source
     second = recording_of(_open(spec))
@@ -92,6 +97,14 @@ def _select(spec: str | Path, reader: RecordingReader | None, lidar: LidarSelect
         reader.select_scans(lidar.topic, lidar.cut_height, lidar.cut_thickness)
     elif lidar.topic:
         raise RecordingError(spec, None, f"has no topics, so none is named {lidar.topic}")
+
+
+def _select_odometry(spec: str | Path, reader: RecordingReader | None, topic: str) -> None:
+    """Set which odometry a reader reads, if a topic is named; raises RecordingError if it cannot have any."""
+    if topic and reader is not None:
+        reader.select_odometry(topic)
+    elif topic:
+        raise RecordingError(spec, None, f"has no topics, so none is named {topic}")
 
 
 def recording_of(source: Source) -> RecordingReader | None:

@@ -131,6 +131,9 @@ class OdometryConfig(Settings):
         description="'none': there is no odometry, or it is ignored; motions are predicted at constant velocity and "
         "corrected by the scans. A recording without odometry sets it",
     )
+    topic: str = Field(
+        "", description="topic of the odometry in a ROS recording; by default the one with the most messages"
+    )
     gyroscope: bool = Field(True, description="use the turns of a gyroscope, if there is one, instead of the wheels'")
     translation_error: Deviation = Field(0.1, ge=0, description="drift of the position, metres per metre")
     rotation_walk: Deviation = Field(

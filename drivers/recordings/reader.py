@@ -69,6 +69,10 @@ class RecordingReader(SurveyedRecording):
         if topic:
             raise RecordingError(self.path, None, f"has no topics, so none is named {topic}")
 
+    def select_odometry(self, topic: str) -> None:
+        """Select the topic of odometry, as `select_scans`. Raises RecordingError if the format has none."""
+        raise RecordingError(self.path, None, f"has no topics, so none is named {topic}")
+
     def _messages(self) -> Iterator[Message]:
         """Yield the messages as they are recorded. Raises RecordingError if there is neither a scan nor odometry."""
         read: Counter[type[Message]] = Counter()

@@ -81,6 +81,10 @@ class RosReader(RecordingReader):
         """Select the topic that is read, and the layer of point clouds; see `RecordingReader`."""
         self.scan_topic, self.cut = topic or None, HeightCut(cut_height, cut_thickness)
 
+    def select_odometry(self, topic: str) -> None:
+        """Select the topic of odometry that is read."""
+        self.odometry_topic = topic
+
     @abstractmethod
     def _stored_messages(self, final: bool) -> Iterator[StoredMessage]:
         """Yield the messages of the types `self._types` in order. Damage is counted on the `final` pass only."""
@@ -113,8 +117,10 @@ class RosReader(RecordingReader):
         self.report.scan_topic, self.report.odometry_topic = scans, odometry.topic
         if odometry.frames is not None:
             self.interpret(f"odometry from the transforms {' -> '.join(odometry.frames)} on /tf")
-        elif (choice := describe_odometry_choice(contents.counts.get(ODOMETRY, Counter()), odometry.topic)) is not None:
-            self.interpret(choice)
+        else:
+            counts, named = contents.counts.get(ODOMETRY, Counter()), self.odometry_topic is not None
+            if (choice := describe_odometry_choice(counts, odometry.topic, named=named)) is not None:
+                self.interpret(choice)
         readings = [ranges_of(message) for message, _ in contents.sample(scans)]
         per_metre = find_range_unit(readings, self._drive(scans, odometry, contents), self)
         imu = self.report.gyroscope_topic = self._choose_topic(contents, IMU, None)

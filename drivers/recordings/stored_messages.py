@@ -68,8 +68,11 @@ def choose_odometry_topic(counts: Counter[str]) -> str | None:
     return next((topic for topic, _ in (measured or counts).most_common(1)), None)
 
 
-def describe_odometry_choice(counts: Counter[str], chosen: str | None) -> str | None:
-    """Return which topic is read as odometry as one line of text; None if there was no choice and it is measured."""
+def describe_odometry_choice(counts: Counter[str], chosen: str | None, *, named: bool) -> str | None:
+    """Return which topic is read as odometry as one line of text; None if there was no choice and it is measured.
+
+    named  true if the user has named the topic
+    """
     if chosen is None or (len(counts) < 2 and TRUE_POSES not in chosen):
         return None
     others = ", ".join(f"{topic}: {count}" for topic, count in counts.items() if topic != chosen)
@@ -77,6 +80,7 @@ def describe_odometry_choice(counts: Counter[str], chosen: str | None) -> str | 
         f"odometry of {chosen}: {counts[chosen]} messages"
         + (f" ({others})" if others else "")
         + (", true poses by its name" if TRUE_POSES in chosen else "")
+        + ("; odometry.topic names another topic" if others and not named else "")
     )
 
 

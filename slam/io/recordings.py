@@ -61,10 +61,10 @@ def open_source(recording: str | Path, config: Config) -> Source:
     """
     first, second = config.lidar, config.second_lidar
     if not second.topic:
-        return drivers.open(recording, lidar_selection(first))
+        return drivers.open(recording, lidar_selection(first), odometry_topic=config.odometry.topic)
     if first.topic in ("", second.topic):
         raise ConfigurationError("second_lidar.topic: lidar.topic must name another topic, that of the first lidar")
-    return drivers.open(recording, lidar_selection(first), lidar_selection(second))
+    return drivers.open(recording, lidar_selection(first), lidar_selection(second), config.odometry.topic)
 
 
 def lidar_selection(lidar: LidarConfig) -> LidarSelection:

@@ -57,7 +57,7 @@ def calibrate(
     if (wheel_radius is None) != (track is None):
         raise typer.BadParameter("both or none are required", param_hint="--wheel-radius / --track")
     effective = load_config(config, settings or ())
-    source = drivers.open(recording, lidar_selection(effective.lidar))
+    source = drivers.open(recording, lidar_selection(effective.lidar), odometry_topic=effective.odometry.topic)
     timing = RecordingTiming.of(source, effective.lidar)
     try:
         result = estimate(progress(source, len(source), "reading"), timing.compensated(effective))

@@ -176,12 +176,15 @@ def test_topic_with_the_most_messages_is_read(tmp_path: Path, write_bag: WriteBa
         list(BagReader(path, scan_topic="/side"))
 
 
+OTHER = "; odometry.topic names another topic"
+
+
 @pytest.mark.parametrize(
     ("topics", "chosen", "stated"),
     [
         (["/odom"], "/odom", None),
-        (["/odom"] * 2 + ["/odometry/filtered"] * 3, "/odometry/filtered", "3 messages (/odom: 2)"),
-        (["/base_pose_ground_truth"] * 3 + ["/odom"] * 2, "/odom", "2 messages (/base_pose_ground_truth: 3)"),
+        (["/odom"] * 2 + ["/odometry/filtered"] * 3, "/odometry/filtered", "3 messages (/odom: 2)" + OTHER),
+        (["/base_pose_ground_truth"] * 3 + ["/odom"] * 2, "/odom", "2 messages (/base_pose_ground_truth: 3)" + OTHER),
         (["/base_pose_ground_truth"] * 3, "/base_pose_ground_truth", "3 messages, true poses by its name"),
     ],
 )
@@ -195,6 +198,22 @@ def test_measured_odometry_is_preferred_and_a_choice_is_stated(
     assert len(list(source)) == topics.count(chosen)
     assert source.report.odometry_topic == chosen
     assert source.report.interpretations == ([] if stated is None else [f"odometry of {chosen}: {stated}"])
+
+
+def test_the_topic_of_the_odometry_can_be_named(tmp_path: Path, write_bag: WriteBag) -> None:
+    encoder, topics = RosEncoder(), ["/odom"] * 2 + ["/visual"] * 3
+    odometry = [encoder.odometry(Odometry(1.0 + 0.1 * k, np.zeros(3))) for k in range(len(topics))]
+    entries = [(topic, ODOMETRY, k, data) for k, (topic, data) in enumerate(zip(topics, odometry, strict=True), 1)]
+    path = write_bag(tmp_path / "bag", entries)
+    source = drivers.open(path, odometry_topic="/odom")
+    assert len(list(source)) == 2
+    assert source.report.interpretations == ["odometry of /odom: 2 messages (/visual: 3)"]
+    with pytest.raises(RecordingError, match=r"no topic /wheels .* /odom, /visual"):
+        list(drivers.open(path, odometry_topic="/wheels"))
+    (tmp_path / "a.clf").write_text("ODOM 0 0 0 0 0 0 1.0 host 0.0\n")
+    for other in (tmp_path / "a.clf", "sim:room"):
+        with pytest.raises(RecordingError, match="has no topics, so none is named /odom"):
+            drivers.open(other, odometry_topic="/odom")
 
 
 def test_bad_messages_are_skipped_and_numbered(tmp_path: Path, write_bag: WriteBag) -> None:
