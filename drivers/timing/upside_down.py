@@ -19,7 +19,10 @@ class OdometryTurns:
         """Return why scans must be mirrored, as the lidar is upside down, as a line of text; None if it is not."""
         if self._used != MIRRORED:
             return None
-        return f"scans of a lidar that is upside down, since odometry measures {self._turns}; mirrored"
+        return (
+            f"scans of a lidar that is upside down, since odometry measures {self._turns}; mirrored (live: "
+            "upside_down=1 of the device, or the transform of the lidar)"
+        )
 
     def reason_to_ignore(self) -> str | None:
         """Return why odometry is of no use, as a line of text; None if it measures the turns of the robot."""
