@@ -77,12 +77,10 @@ def _run_recording(job: Job, drive: RecordedDrive, prepare: Prepare) -> RobustRe
     if mirror is not None:
         paths = [(mirror - stamps[::-1], poses[::-1]) for stamps, poses in paths]
     paths = [(as_recorded(stamps, read), poses) for stamps, poses in paths]
-    origin, errors = "", [(math.nan, math.nan)] * 2
+    errors = [(math.nan, math.nan)] * 2
     if drive.reference is not None:
-        origin = drive.reference.name.removeprefix(drive.path.stem).removesuffix(drive.reference.suffix).strip(".")
-        origin = origin or "relations"
         errors = [reference_errors(Trajectory.sorted(*path), drive.reference) for path in paths]
-    return run.result(job.name, origin, errors)
+    return run.result(job.name, drive.origin, errors)
 
 
 def _changed(source: Source, variant: DriveVariant, seed: int) -> tuple[Iterable[Message], float | None]:

@@ -37,6 +37,8 @@ LaterMode: TypeAlias = Literal["localize", "continue"]
 
 SUFFIXES = (".clf", ".log", ".carmen", ".mcap", ".bag")
 """Of recordings in one file; a folder with metadata.yaml is a ROS 2 bag."""
+COMPRESSED = (".gz", ".bz2")
+"""Suffixes that may follow one of these."""
 RELATIONS, TRAJECTORY = ".relations", ".tum"
 """Suffixes of references: `NAME.relations`, `NAME.ORIGIN.tum`."""
 PREFERRED = ("truth", "gmapping", "lama")
@@ -56,6 +58,14 @@ class RecordedDrive:
     name: str
     path: Path
     reference: Path | None
+
+    @property
+    def origin(self) -> str:
+        """Origin of the reference: "relations", or what made the trajectory, such as "lama"; empty without one."""
+        if self.reference is None or self.reference.suffix == RELATIONS:
+            return "" if self.reference is None else "relations"
+        prefix = _as_uncompressed(self.path).stem
+        return self.reference.name.removeprefix(prefix).removesuffix(self.reference.suffix).strip(".")
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,7 +201,7 @@ def find_recordings(folder: Path) -> list[RecordedDrive]:
     """
     if not folder.is_dir():
         raise MapError(f"{folder}: no such directory")
-    files = {file for file in folder.rglob("*") if file.is_file() and file.suffix.lower() in SUFFIXES}
+    files = {file for file in folder.rglob("*") if file.is_file() and _as_uncompressed(file).suffix.lower() in SUFFIXES}
     bags = {file.parent for file in folder.rglob("metadata.yaml")}
     found = sorted({file for file in files if file.parent not in bags} | bags)
     if not found:
@@ -199,8 +209,13 @@ def find_recordings(folder: Path) -> list[RecordedDrive]:
     return [RecordedDrive(_name(path, folder), path, _reference(path)) for path in found]
 
 
+def _as_uncompressed(path: Path) -> Path:
+    """Return the name of a file if it were not compressed."""
+    return path.with_suffix("") if path.suffix.lower() in COMPRESSED else path
+
+
 def _name(path: Path, folder: Path) -> str:
-    relative = path.relative_to(folder)
+    relative = _as_uncompressed(path).relative_to(folder)
     relative = relative if path.is_dir() else relative.with_suffix("")
     own_folder = len(relative.parts) > 1 and relative.parts[-1] == relative.parts[-2]
     return (relative.parent if own_folder else relative).as_posix()
@@ -208,6 +223,7 @@ def _name(path: Path, folder: Path) -> str:
 
 def _reference(path: Path) -> Path | None:
     """Return the reference of a recording."""
+    path = _as_uncompressed(path)
     if (relations := path.with_suffix(RELATIONS)).exists():
         return relations
     ranks = {origin: rank for rank, origin in enumerate(PREFERRED)}

@@ -189,7 +189,9 @@ def test_optimize_names_what_it_cannot_refine(wclm: Any) -> None:
 def test_an_output_directory_without_session_is_refused(wclm: Any, session: Path) -> None:
     shutil.rmtree(session / SESSION)  # as in output directories of older versions
     for command in (("optimize", session), ("run", "sim:room", "--continue", session)):
-        wclm.refuses(*command, "--out", "x", because=["has no session/session.json", "cannot be continued, refined or corrected"])
+        wclm.refuses(
+            *command, "--out", "x", because=["has no session/session.json", "cannot be continued, refined or corrected"]
+        )
     wclm.refuses("map", session, "--format", "g2o", because=["has no session/session.json"])
     assert wclm("map", session, "--format", "svg").exit_code == 0
     assert wclm("report", session, "--overwrite").exit_code == 0
