@@ -165,9 +165,7 @@ def _warnings(info: RecordingInfo, scans: _ScanStatistics, odometry: Floats) -> 
         warnings.append("no scans")
     if not info.odometry:
         warnings.append("no odometry: the motion comes from the scans alone")
-    if info.scans and not info.mounts:
-        warnings.append("the mount of the lidar on the robot is not recorded; lidar.mount=[x,y,heading] states it")
-    elif scans.without_mount:
+    if info.mounts and scans.without_mount:
         warnings.append(f"{_count(scans.without_mount, 'scan')} without a lidar mount")
     if len(info.mounts) > 1:
         warnings.append(f"scans come from {len(info.mounts)} different lidar mounts")

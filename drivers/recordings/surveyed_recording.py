@@ -111,6 +111,11 @@ class SurveyedRecording(ABC):
         """True if the recording contains a scan."""
         return self._turns_as_recorded.scans > 0
 
+    @property
+    def states_mount(self) -> bool:
+        """True if the first scan states the mount of the lidar on the robot."""
+        return self._turns_as_recorded.mount is not None
+
     def check_scans(self) -> None:
         """Raise RecordingError, which says what is there instead, if the recording has no scan or most are useless."""
         if not self.has_scans or self._lost_scans:

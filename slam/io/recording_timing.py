@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 DIFFERENT = 5.0
 """Standard deviations by which the delays of two lidars must differ to be different: most have one clock."""
+UNKNOWN_MOUNT = "the mount of the lidar on the robot is not recorded; lidar.mount=[x,y,heading] states it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,7 @@ class RecordingTiming:
     mount_heading   direction that the lidar points in as found, if it contradicts the mount; else None
     stated_mount    mount of the lidar by the settings, else by the recording: x, y (metres), heading; None if neither
                     states one
+    mount_unknown   true if nothing states it, although the odometry of the base is used
     turn_doubts     what is probably wrong with the turns of odometry, as lines of text
     floor           the floor that the lidar sees, whose returns are left out when the recording is read; None if none
     own_returns     returns from the robot itself, which are left out likewise; None if none
@@ -46,6 +48,7 @@ class RecordingTiming:
     used_delay: float = 0.0
     mount_heading: MountHeading | None = None
     stated_mount: tuple[float, float, float] | None = None
+    mount_unknown: bool = False
     turn_doubts: tuple[str, ...] = ()
     floor: Floor | None = None
     own_returns: OwnReturns | None = None
@@ -79,8 +82,9 @@ class RecordingTiming:
         if used is None:
             delay = reader.delay
             used = delay.seconds if delay is not None and delay.objection is None else 0.0
+        unknown = mount is None and reader.has_scans and reader.has_odometry and not reader.states_mount
         seen = reader.floor, reader.own_returns
-        return cls(reader.beam_times, test, delay, used, heading, mount, doubts, *seen)
+        return cls(reader.beam_times, test, delay, used, heading, mount, unknown, doubts, *seen)
 
     @property
     def used_heading(self) -> float | None:
@@ -156,7 +160,7 @@ class RecordingTiming:
     def doubts(self) -> list[str]:
         """Return what is probably wrong with the lidar's mount or the turns of odometry, as lines of text."""
         if self.mount_heading is None or self.stated_mount is None or self.turn_doubts:
-            return list(self.turn_doubts)
+            return [*self.turn_doubts, *([UNKNOWN_MOUNT] if self.mount_unknown else [])]
         x, y, heading = self.stated_mount
         return [
             f"the lidar seems to be turned by {self._turn()} on the robot, but by {math.degrees(heading):z.0f} by its "

@@ -160,7 +160,10 @@ class PosePredictor:
         return se2.compose(self._fix.pose, self._dead_reckoning.motion(self._fix.odometry, odometry))
 
     def predict(self, odometry: Odometry) -> Predictions:
-        """Return the predictions of the pose at a scan, given the reading of odometry at its stamp."""
+        """Return the predictions of the pose at the next scan, given the reading of odometry at its stamp.
+
+        To be called once for each scan: the time since the last fix counts on.
+        """
         if self._fix is None or self._reference is None:
             self.move_to(np.zeros(3), odometry)
         self._last_odometry = odometry

@@ -18,7 +18,7 @@ from drivers.messages import Message, Scan, Source, delay_odometry, with_reverse
 from drivers.recordings import surveyed_recording
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.reader import RecordingReader
-from drivers.simulation import LIDAR_MODELS
+from drivers.simulation import LIDAR_MODELS, Simulation
 from drivers.timing.beam_times import STATED, BeamTimes
 from drivers.timing.delay import Delay
 from slam import Slam
@@ -28,8 +28,8 @@ from slam.cli.commands.live_input import LiveInput
 from slam.cli.message_pump import MessagePump
 from slam.cli.run_controls import RunControls
 from slam.cli.run_input import RecordingInput
-from slam.config import Config, load_config
-from slam.io.recording_timing import RecordingTiming
+from slam.config import Config, LidarConfig, load_config
+from slam.io.recording_timing import UNKNOWN_MOUNT, RecordingTiming
 from slam.io.recordings import open_source, reason_without_odometry
 
 from ...drivers.timing.drives import mirrored, office_drive, with_late_scans, with_turned_lidar
@@ -72,6 +72,21 @@ def input_with_turned_lidar(path: Path, stated: bool) -> RecordingInput:
     return RecordingInput(drivers.open(path), reopen=str(path))
 
 
+@pytest.mark.parametrize(("odometry", "doubts"), [(True, [UNKNOWN_MOUNT]), (False, [])])
+def test_a_mount_that_nothing_states_is_doubtful_beside_odometry(
+    tmp_path: Path, odometry: bool, doubts: list[str]
+) -> None:
+    path = tmp_path / "drive.mcap"
+    with McapWriter(path) as writer:
+        for message in Simulation("room", duration=3.0, mount=(0.2, 0.0, 0.0)):
+            if isinstance(message, Scan):
+                writer.write(replace(message, mount=None))
+            elif odometry:
+                writer.write(message)
+    assert RecordingTiming.of(drivers.open(path)).doubts() == doubts
+    assert RecordingTiming.of(drivers.open(path), LidarConfig(mount=(0.2, 0.0, 0.0))).doubts() == []
+
+
 @pytest.mark.slow
 def test_a_lidar_that_points_backwards_is_corrected_if_no_mount_is_stated(tmp_path: Path) -> None:
     path = tmp_path / "drive.mcap"
@@ -82,7 +97,7 @@ def test_a_lidar_that_points_backwards_is_corrected_if_no_mount_is_stated(tmp_pa
     assert abs(config.lidar.mount[2]) == pytest.approx(np.pi, abs=0.05)
     text = run_input.facts()["interpretations"][-1]
     assert re.match(r"lidar turned by -?1(79|80)\.\d ± \d\.\d degrees on the robot", text)
-    assert run_input.facts()["doubts"] == []
+    assert run_input.facts()["doubts"] == [UNKNOWN_MOUNT]
     for heading, doubts in ((3.1, 0), (0.0, 1)):
         settings = load_config(None, [f"lidar.mount=[0,0,{heading}]"])
         timing = RecordingTiming.of(drivers.open(path), settings.lidar)
