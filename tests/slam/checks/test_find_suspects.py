@@ -114,6 +114,15 @@ def test_an_uneven_motion_without_odometry_readings_is_no_wrong_odometry() -> No
     assert not of(ODOMETRY, find_suspects(gap))
 
 
+def test_odometry_that_ends_before_the_drive_is_not_wrong() -> None:
+    drive = simulated_drive("office")
+    last = row_at(drive, 30.0)
+    odometry = np.concatenate([drive.odometry[:last], np.repeat(drive.odometry[last : last + 1], len(drive) - last, 0)])
+    ending = replace(drive, odometry=odometry, readings=drive.stamps[: last + 1])
+    assert of(ODOMETRY, find_suspects(replace(ending, readings=drive.stamps)))
+    assert not of(ODOMETRY, find_suspects(ending))
+
+
 def slipping(drive: Drive, stamp: float, metres: float) -> np.ndarray:
     """Return odometry whose wheels turn for some metres too much, over two seconds."""
     odometry = drive.odometry
