@@ -76,7 +76,12 @@ PlotOption = Annotated[
 ]
 DurationOption = Annotated[
     float | None,
-    typer.Option("--duration", metavar="SECONDS", min=0.0, help="Duration in seconds; by default until Ctrl-C."),
+    typer.Option(
+        "--duration",
+        metavar="SECONDS",
+        min=0.0,
+        help="Seconds after the devices have started; by default until Ctrl-C.",
+    ),
 ]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
 ContinueOption = Annotated[
