@@ -14,6 +14,9 @@ that are tried. Besides, it must be seen nearly always.
 
 Walls that the robot drives along are fixed in the lidar's frame, too, and odometry may turn by mistake. So a scan
 counts only if most of what is farther away than any part of the robot differs from the compared scan before.
+
+Without odometry, the scans tell the turn: most of what is farther away than any part of the robot is the same again if
+one of them is turned by MIN_TURN or more, and not if it is turned by less.
 """
 
 from __future__ import annotations
@@ -40,6 +43,11 @@ TOLERANCE = 2
 # Part of the range by which a return farther away differs. Origin: geometry; in a turn by MIN_TURN a wall ahead is 15
 # percent farther away.
 MIN_CHANGE = 0.05
+# The same for two scans that are turned to fit each other: the robot drives some decimetres meanwhile. Origin: chosen.
+MIN_CHANGE_IF_TURNED = 2.0 * MIN_CHANGE
+# Directions in which both of two scans must show something farther away than any part of the robot, for the scans to
+# tell the turn. Origin: chosen, 20 degrees: less may be people.
+MIN_COMMON = 10
 # Probability that a scan supports the distance of a part of the robot. Origin: chosen; some beams do not return.
 SUPPORT_BY_ROBOT = 0.95
 # The same for anything else, at the distance with most support. Origin: measured, in recordings of twelve robots 2 to
@@ -111,21 +119,39 @@ class OwnReturnsDetector:
     def add(self, message: Message) -> None:
         """Process the next message."""
         if isinstance(message, Odometry):
+            if math.isnan(self._heading):  # the scans before were compared otherwise
+                self._counts[:], self._scans = 0, 0
             self._heading = float(message.pose[2])
-        elif isinstance(message, Scan) and message.lidar == 0 and not math.isnan(self._heading):
+        elif isinstance(message, Scan) and message.lidar == 0:
+            if math.isnan(self._heading):
+                self._compare_views(_farthest(message.ranges, _bins(message.angles)))
+                return
             turned = abs(math.remainder(self._heading - self._compared, 2.0 * math.pi))
             if not turned < MIN_TURN:  # true for the first scan
                 self._compare(_farthest(message.ranges, _bins(message.angles)))
 
     def _compare(self, farthest: Floats) -> None:
-        """Count the farthest return (BINS,) of a scan in each direction, metres, 0 for none."""
+        """Count a scan with the farthest return (BINS,) in each direction, metres, 0 for none, if its view differs."""
         before, self._before, self._compared = self._before, farthest, self._heading
         beyond = np.maximum(farthest, before) > CELL * CELLS
         change = np.abs(farthest - before) > MIN_CHANGE * np.maximum(farthest, before)
         if 2 * np.count_nonzero(beyond & change) > np.count_nonzero(beyond):
-            self._scans += 1
-            near = np.flatnonzero((farthest > 0.0) & (farthest < CELL * CELLS))
-            self._counts[near, (farthest[near] / CELL).astype(np.int64)] += 1
+            self._count(farthest)
+
+    def _compare_views(self, farthest: Floats) -> None:
+        """Count a scan likewise if its view is that of the compared scan before after a turn by MIN_TURN or more."""
+        turn = _turn_between(farthest, self._before)
+        if turn is None:  # the robot has driven on to where other things are seen
+            self._before = farthest
+        elif abs(turn) >= MIN_TURN:
+            self._before = farthest
+            self._count(farthest)
+
+    def _count(self, farthest: Floats) -> None:
+        """Count the distances of the farthest returns (BINS,) that may be from the robot."""
+        self._scans += 1
+        near = np.flatnonzero((farthest > 0.0) & (farthest < CELL * CELLS))
+        self._counts[near, (farthest[near] / CELL).astype(np.int64)] += 1
 
     def found(self) -> OwnReturns | None:
         """Return what is seen of the robot; None if nothing is, or the drive does not show it."""
@@ -148,8 +174,47 @@ def warm_up() -> None:
     """Compile the functions of the detector, or load them from the cache."""
     angles = np.arange(-math.pi, math.pi, 2.0 * math.pi / BINS)
     detector, scan = OwnReturnsDetector(), Scan(0.0, np.ones(BINS), angles, np.zeros(BINS), 0.0, np.inf)
+    _turn_between(np.full(BINS, 2.0), np.full(BINS, 3.0))
     detector.add(Odometry(0.0, np.zeros(3)))
     detector.add(scan)
+
+
+def _turn_between(farthest: Floats, before: Floats) -> float | None:
+    """Return the turn (radians) between two scans given by their farthest returns (BINS,); None if no turn fits.
+
+    It is zero if most of what both show is at the same place, and if they show too little.
+    """
+    same, common = _agreeing(farthest, before, 0, MIN_CHANGE)
+    if 2 * same > common or 0 < common < MIN_COMMON:
+        return 0.0
+    shift = _best_shift(farthest, before)
+    return None if shift == BINS else shift * 2.0 * math.pi / BINS
+
+
+@compiled
+def _best_shift(farthest, before):  # type: ignore[no-untyped-def]
+    """Return the turn, in directions, by which a scan fits another one best; BINS if it fits after none.
+
+    It fits if most of what both show beyond the robot agrees.
+    """
+    best, best_share = BINS, 0.5
+    for shift in range(-(BINS // 2), BINS // 2):
+        same, common = _agreeing(farthest, before, shift, MIN_CHANGE_IF_TURNED)
+        if common >= MIN_COMMON and same > best_share * common:
+            best, best_share = shift, same / common
+    return best
+
+
+@compiled
+def _agreeing(farthest, before, shift, tolerance):  # type: ignore[no-untyped-def]
+    """Return in how many directions a scan that is turned agrees with another one, and in how many both see far."""
+    same, common = 0, 0
+    for k in range(BINS):
+        one, other = farthest[(k + shift) % BINS], before[k]
+        if min(one, other) > CELL * CELLS:
+            common += 1
+            same += abs(one - other) <= tolerance * max(one, other)
+    return same, common
 
 
 def _bins(angles: Floats) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

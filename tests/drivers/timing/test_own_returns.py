@@ -40,6 +40,10 @@ def found(messages: Iterable[Message]) -> OwnReturns | None:
     return detector.found()
 
 
+def scans_of(messages: Iterable[Message]) -> list[Message]:
+    return [message for message in messages if isinstance(message, Scan)]
+
+
 def turning_odometry(messages: Iterable[Message], turn: float) -> Iterable[Message]:
     """Yield messages with odometry that turns by mistake, radians per metre along x."""
     for message in messages:
@@ -80,6 +84,30 @@ def test_a_part_of_the_robot_is_found(distance: float, bearing: float) -> None:
 )
 def test_what_stands_in_the_building_is_no_part_of_the_robot(messages: Iterable[Message]) -> None:
     assert found(messages) is None
+
+
+@pytest.mark.parametrize("distance", [0.15, 0.8])
+def test_without_odometry_the_scans_show_the_turns(distance: float) -> None:
+    world = seeing_posts(room(9.0, 7.0), distance)
+    driving = spinning() + np.column_stack([np.linspace(0.0, 2.0, len(spinning())), *np.zeros((2, len(spinning())))])
+    for path in (spinning(), driving):
+        own = found(scans_of(drive(world, path)))
+        assert own is not None
+        assert [np.degrees(first) for first, _ in own.sectors] == pytest.approx([-125.0, 36.0], abs=4.0)
+
+
+@pytest.mark.parametrize(
+    "messages",
+    [
+        pytest.param(drive(HALL, spinning()), id="hall"),
+        pytest.param(drive(room(1.0, 1.0), spinning(4.0)), id="closet"),
+        pytest.param(drive(room(40.0, 1.2), along_corridor()), id="corridor"),
+        pytest.param(drive(seeing_posts(room(40.0, 2.0)), along_corridor()), id="posts in a corridor"),
+        pytest.param(drive(seeing_posts(HALL), np.zeros((100, 3))), id="standing"),
+    ],
+)
+def test_without_odometry_and_turns_nothing_is_found(messages: Iterable[Message]) -> None:
+    assert found(scans_of(messages)) is None
 
 
 def test_sectors_are_named_in_their_order() -> None:

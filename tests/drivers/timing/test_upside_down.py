@@ -17,7 +17,7 @@ from drivers.simulation import LidarModel, Simulation, load_world
 from drivers.timing.turn_scale import TurnScale
 from drivers.timing.turns import Turns
 from drivers.timing.upside_down import OdometryTurns, compare_odometry_turns
-from slam.io.recording_timing import RecordingTiming
+from slam.io.recording_timing import UNKNOWN_MOUNT, RecordingTiming
 from slam.io.recordings import reason_without_odometry
 
 from .drives import office_drive
@@ -53,7 +53,7 @@ def test_scans_without_a_mount_are_mirrored(tmp_path: Path) -> None:
     np.testing.assert_array_equal([scan.ranges for scan in read], [scan.ranges for scan in true])
     assert any("upside down" in line for line in source.report.interpretations)
     timing = RecordingTiming.of(source)
-    assert timing.doubts() == []
+    assert timing.doubts() == [UNKNOWN_MOUNT]
     assert timing.beam_times.as_stated
 
 
