@@ -202,6 +202,15 @@ class Config(Settings):
         """Return the properties of a lidar by its number, `Scan.lidar`."""
         return self.second_lidar if number else self.lidar
 
+    def mounts(self) -> list[tuple[float, float, float] | None]:
+        """Return the mount of each lidar, by number; None for one that the scans state."""
+        return [self.lidar.mount, *([self.second_lidar.mount] if self.second_lidar.topic else [])]
+
+    def without_mounts(self) -> Config:
+        """Return these settings for scans that state their mounts."""
+        lidars = {"lidar": self.lidar, "second_lidar": self.second_lidar}
+        return self.model_copy(update={name: one.model_copy(update={"mount": None}) for name, one in lidars.items()})
+
     def without_odometry(self) -> Config:
         """Return these settings for mapping by the scans alone."""
         return self.model_copy(update={"odometry": self.odometry.model_copy(update={"source": "none"})})

@@ -23,7 +23,7 @@ from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
 from .io.recording_timing import timed
-from .io.recordings import absolute_recording, open_to_map
+from .io.recordings import open_to_map, recording_to_reopen
 from .io.run_results import RunResults
 from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
@@ -144,8 +144,10 @@ class MappedRecording:
         from .io.sessions import Recording
 
         first, last = float(self.stamps[0]), float(self.stamps[-1])
-        stamps = self.source.report.recorded_stamps
-        recording = Recording(name=self.name, path=self.reopen, first=first, last=last, recorded_stamps=stamps)
+        stamps, mounts = self.source.report.recorded_stamps, self.slam.config.mounts()
+        recording = Recording(
+            name=self.name, path=self.reopen, first=first, last=last, recorded_stamps=stamps, mounts=mounts
+        )
         save_run(self.slam, self.finished, directory, name=self.name, recording=recording, overwrite=overwrite)
 
     def svg(self, measurements: Sequence[Measurement] = ()) -> str:
@@ -215,7 +217,7 @@ def run(
     except MapError as error:
         raise MapError(f"{source.name}: {error}") from error
     by_odometry = odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3))
-    reopen = absolute_recording(str(recording))
+    reopen = recording_to_reopen(str(recording))
     return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam, source, reopen)
 
 

@@ -109,7 +109,7 @@ class RecordingInput:
         if (second := self._second_timing) is not None:
             facts["second_timing"] = second.figures()
             read_as += [f"second lidar: {line}" for line in second.corrections()]
-            doubts += [f"second lidar: {line}" for line in second.doubts()]
+            doubts += [f"second lidar: {line.replace('lidar.mount', 'second_lidar.mount')}" for line in second.doubts()]
         return facts
 
 
@@ -145,8 +145,8 @@ class InputStatistics:
         elif isinstance(message, Scan):
             self.scans += 1
 
-    def recording(self, run_input: RunInput) -> Recording:
-        """Return the entry of the recording in a session."""
+    def recording(self, run_input: RunInput, config: Config) -> Recording:
+        """Return the entry of the recording in a session; `config` has the mounts of the lidars as used."""
         from ..io.sessions import Recording
 
         first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
@@ -157,6 +157,7 @@ class InputStatistics:
             first=first,
             last=last,
             recorded_stamps=run_input.report.recorded_stamps,
+            mounts=config.mounts(),
         )
 
     @property

@@ -30,6 +30,7 @@ from .run_setup import RunSetup
 from .run_summary import summarise_run
 
 if TYPE_CHECKING:
+    from ..config import Config
     from ..io.sessions import StoredSession
     from ..pipeline import Slam
 
@@ -61,12 +62,13 @@ class RunWriter:
 
     def snapshot(self, slam: Slam) -> Write:
         """Return a function that writes the state of this moment. Raises MapError if there is no map yet."""
-        copy, extended, mounts = slam.snapshot(), slam.extends_map, slam.lidar_mounts
+        copy, extended, mounts, config = slam.snapshot(), slam.extends_map, slam.lidar_mounts, slam.config
         took = time.perf_counter() - self.started
 
         def write(place: Path) -> None:
             finished = copy.finished()
-            summary = self._summarise(finished, copy.session, None, RunTimes(took, took), extended, mounts)
+            times = RunTimes(took, took)
+            summary = self._summarise(finished, copy.session, config, None, times, extended, mounts)
             summary["unfinished"] = True
             self._write(place, finished, summary, _parts(copy.session if extended else None))
 
@@ -84,7 +86,8 @@ class RunWriter:
         score = score_against_truth(finished, self.statistics)
         took = time.perf_counter() - self.started
         times = RunTimes(slam_seconds, took)
-        summary = self._summarise(finished, slam.session, score, times, slam.extends_map, slam.lidar_mounts)
+        extended, mounts = slam.extends_map, slam.lidar_mounts
+        summary = self._summarise(finished, slam.session, slam.config, score, times, extended, mounts)
         summary["review"] = left_out
         on_plan = None if self.setup.plan is None else report_on_plan(self.setup.plan, slam)
         if on_plan is not None:
@@ -103,6 +106,7 @@ class RunWriter:
         self,
         finished: Finished,
         session: StoredSession,
+        config: Config,
         score: ReferenceScore | None,
         times: RunTimes,
         extended: bool,
@@ -110,6 +114,7 @@ class RunWriter:
     ) -> dict[str, Any]:
         """Return the summary; add the recording of this run to the session.
 
+        config            settings as used, with what the recording shows of the lidars
         extended, mounts  `Slam.extends_map` and `Slam.lidar_mounts`
         """
         summary = summarise_run(
@@ -121,7 +126,7 @@ class RunWriter:
             seed=self.seed,
             times=times,
         )
-        session.recordings.append(self.statistics.recording(self.run_input))
+        session.recordings.append(self.statistics.recording(self.run_input, config))
         recordings = session.recordings if extended else session.recordings[-1:]
         return summary | {
             "lidars": [mount.tolist() for mount in mounts],

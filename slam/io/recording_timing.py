@@ -184,7 +184,10 @@ def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, Reco
         return config, first, None
     if config.second_lidar.delay is None:
         second = second.beside(first)
-    lidar = config.second_lidar.model_copy(update={"delay": second.used_delay})
+    update: dict[str, Any] = {"delay": second.used_delay}
+    if second.used_heading is not None and config.second_lidar.mount is None:
+        update["mount"] = (0.0, 0.0, second.used_heading)
+    lidar = config.second_lidar.model_copy(update=update)
     return config.model_copy(update={"second_lidar": lidar}), first, second
 
 

@@ -7,8 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 import drivers
-from drivers.messages import Message, Odometry, Source, SourceReport
+from drivers.messages import Message, Odometry, Scan, Source, SourceReport
 from drivers.source_factory import LidarSelection, recording_of
 
 from ..config import Config, LidarConfig
@@ -19,11 +21,20 @@ if TYPE_CHECKING:
 
 SIMULATION = "sim:"
 """Prefix of a recording that is simulated when it is opened."""
+REPLAY = "replay:"
+"""Prefix of a recording that is played with its timing."""
 
 
 def absolute_recording(recording: str) -> str:
     """Return the argument of `drivers.open` that opens the same recording from any working directory."""
     return recording if recording.startswith(SIMULATION) else str(Path(recording).resolve())
+
+
+def recording_to_reopen(recording: str) -> str:
+    """Return `absolute_recording` of what was mapped: the messages of a replay are those of its recording."""
+    if recording.startswith(REPLAY):
+        recording = recording.removeprefix(REPLAY).partition("?")[0]
+    return absolute_recording(recording)
 
 
 def open_to_map(recording: str | Path, config: Config) -> tuple[Source, str | None]:
@@ -94,7 +105,16 @@ def open_recording(results: RunResults, override: str | None = None) -> Source:
     recordings = summary.get("recordings") or [single]
     sources = [_open(results, recording.get("name", ""), recording.get("path"), config) for recording in recordings]
     shifts = [float(recording.get("shift", 0.0)) for recording in recordings]
-    return sources[0] if len(sources) == 1 and not shifts[0] else ConcatenatedSource(sources, shifts)
+    mounts = [recording.get("mounts") or () for recording in recordings]
+    if len(sources) == 1 and not shifts[0] and not any(mounts[0]):
+        return sources[0]
+    return ConcatenatedSource(sources, shifts, mounts)
+
+
+def states_mounts(results: RunResults) -> bool:
+    """Return True if the scans of `open_recording` state the mounts that were used; those of older results do not."""
+    recordings = results.summary.get("recordings") or [{}]
+    return all(recording.get("mounts") is not None for recording in recordings)
 
 
 def _open(results: RunResults, name: str, path: object, config: Config) -> Source:
@@ -107,20 +127,29 @@ def _open(results: RunResults, name: str, path: object, config: Config) -> Sourc
 
 
 class ConcatenatedSource:
-    """Several sources one after the other as one source; `shifts` (seconds) are added to the stamps of each."""
+    """Several sources one after the other as one source.
 
-    def __init__(self, sources: Sequence[Source], shifts: Sequence[float]) -> None:
+    shifts  seconds that are added to the stamps of each
+    mounts  of the lidars of each, by number, which their scans state then; None or missing: as they are
+    """
+
+    def __init__(
+        self, sources: Sequence[Source], shifts: Sequence[float], mounts: Sequence[Sequence[Sequence[float] | None]]
+    ) -> None:
         self.name = ", ".join(source.name for source in sources)
         self.report = SourceReport()
-        self._sources, self._shifts = sources, shifts
+        self._sources, self._shifts, self._mounts = sources, shifts, mounts
 
     def __len__(self) -> int:
         return sum(len(source) for source in self._sources)
 
     def __iter__(self) -> Iterator[Message]:
         self.report = SourceReport()
-        for source, shift in zip(self._sources, self._shifts, strict=True):
+        for source, shift, mounts in zip(self._sources, self._shifts, self._mounts, strict=True):
             for message in source:
+                if isinstance(message, Scan) and message.lidar < len(mounts):
+                    mount = mounts[message.lidar]
+                    message = message if mount is None else replace(message, mount=np.array(mount))
                 yield replace(message, stamp=message.stamp + shift) if shift else message
             self._add_to_report(source.report)
 

@@ -66,7 +66,7 @@ def fake_slam(monkeypatch: pytest.MonkeyPatch, finished: Finished) -> Iterator[t
         lidar_mounts: ClassVar[list[np.ndarray]] = []
 
         def __init__(self, config: Config, sinks: Sequence[Any], *, refine: bool = False, **_: object) -> None:
-            self.sinks = sinks
+            self.config, self.sinks = config, sinks
             type(self).refined = refine
             self.odometry: list[Odometry] = []
 

@@ -12,7 +12,7 @@ from ...errors import MapError
 from ...formatting import counted
 from ...io.host import peak_memory, versions
 from ...io.output_dir import PICTURE, OutputDirectory
-from ...io.recordings import absolute_recording, open_to_map
+from ...io.recordings import open_to_map, recording_to_reopen
 from ...io.run_results import write_results
 from ..compilation import compile_for_recording
 from ..console import print_if_slow
@@ -83,7 +83,7 @@ def optimize_recording(
         compile_for_recording()
         source, reason = open_to_map(recording, config)
         setup = RunSetup(config) if reason is None else without_odometry(RunSetup(config), f"{source.name}: {reason}")
-        run_input = RecordingInput(source, reopen=absolute_recording(recording))
+        run_input = RecordingInput(source, reopen=recording_to_reopen(recording))
         notices, statistics = NoticeCollector(), InputStatistics()
         started = time.perf_counter()
         with run_input.opened(lambda: None) as messages:
@@ -94,7 +94,7 @@ def optimize_recording(
             run_input, finished, statistics, notices.texts, None, seed=None, times=RunTimes(busy, took)
         )
         session = slam.session
-        session.recordings.append(statistics.recording(run_input))
+        session.recordings.append(statistics.recording(run_input, slam.config))
         started = time.perf_counter()
         summary = _optimise(directory, recording, session, summary, started, review=review, picture=picture)
     write_report_page(out)

@@ -47,7 +47,7 @@ def run(
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
     from ...io.output_dir import OutputDirectory
-    from ...io.recordings import absolute_recording, open_to_map
+    from ...io.recordings import open_to_map, recording_to_reopen
     from ...memory import return_freed_memory
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
@@ -66,7 +66,7 @@ def run(
         start = without_odometry(start, "--no-odometry")
     elif reason is not None:
         start = without_odometry(start, f"{source.name}: {reason}")
-    run_input = RecordingInput(source, reopen=absolute_recording(recording))
+    run_input = RecordingInput(source, reopen=recording_to_reopen(recording))
     result = run_slam(run_input, start, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
     typer.echo("\n".join(format_summary(result, out)))
     return_freed_memory()  # as the process ends, the code of all libraries is loaded once more

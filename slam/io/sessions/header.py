@@ -41,6 +41,8 @@ class Recording(Record):
     shift        seconds added to its stamps so that they follow those of the recording before it
     first, last  first and last stamp after the shift, seconds
     recorded_stamps  stamp as read -> stamp as recorded, without the shift, seconds, for those that were restored
+    mounts       of the lidars, by number, if they were set or found, and None for one that the scans state; without a
+                 list for sessions of older versions
     """
 
     name: str
@@ -49,12 +51,15 @@ class Recording(Record):
     first: Finite
     last: Finite
     recorded_stamps: dict[Finite, Finite] = Field(default_factory=dict)
+    mounts: list[Pose | None] | None = None
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields; `recorded_stamps`, which few recordings have, only if there are any."""
+        """Return the fields; `recorded_stamps`, which few recordings have, and `mounts` only if there are any."""
         fields: dict[str, Any] = serialize(self)
-        return fields if self.recorded_stamps else {n: v for n, v in fields.items() if n != "recorded_stamps"}
+        empty = {"recorded_stamps"} if not self.recorded_stamps else set()
+        empty |= {"mounts"} if self.mounts is None else set()
+        return {name: value for name, value in fields.items() if name not in empty}
 
 
 class _PoseFix(Record):

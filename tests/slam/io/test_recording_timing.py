@@ -21,6 +21,7 @@ from drivers.recordings.reader import RecordingReader
 from drivers.simulation import LIDAR_MODELS, Simulation
 from drivers.timing.beam_times import STATED, BeamTimes
 from drivers.timing.delay import Delay
+from drivers.timing.mount_heading import MountHeading
 from slam import Slam
 from slam.cli import acquisition_loop
 from slam.cli.app import app
@@ -28,8 +29,8 @@ from slam.cli.commands.live_input import LiveInput
 from slam.cli.message_pump import MessagePump
 from slam.cli.run_controls import RunControls
 from slam.cli.run_input import RecordingInput
-from slam.config import Config, LidarConfig, load_config
-from slam.io.recording_timing import UNKNOWN_MOUNT, RecordingTiming
+from slam.config import Config, LidarConfig, SecondLidarConfig, load_config
+from slam.io.recording_timing import UNKNOWN_MOUNT, RecordingTiming, timed
 from slam.io.recordings import open_source, reason_without_odometry
 
 from ...drivers.timing.drives import mirrored, office_drive, with_late_scans, with_turned_lidar
@@ -221,6 +222,17 @@ def test_lidars_have_one_delay_unless_they_clearly_differ(second: Delay | None, 
     first = RecordingTiming(delay=Delay(0.32, 0.02, None), used_delay=0.3)
     own = 0.0 if second is None or second.objection else second.seconds
     assert RecordingTiming(delay=second, used_delay=own).beside(first).used_delay == used
+
+
+def test_the_mount_that_is_found_of_a_second_lidar_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    turned = RecordingTiming(mount_heading=MountHeading(None, 3.0, 0.01, 20))
+    monkeypatch.setattr(RecordingTiming, "of", lambda *_: RecordingTiming())
+    monkeypatch.setattr(RecordingTiming, "of_second", lambda *_: turned)
+    config, *_ = timed(Simulation("room"), Config())
+    assert config.mounts() == [None]
+    assert config.second_lidar.mount == (0.0, 0.0, 3.0)
+    stated = Config(second_lidar=SecondLidarConfig(topic="/rear", mount=(0.1, 0.0, 1.0)), lidar=LidarConfig(topic="/a"))
+    assert timed(Simulation("room"), stated)[0].mounts() == [None, (0.1, 0.0, 1.0)]
 
 
 @pytest.mark.parametrize(("kept", "readings"), [(surveyed_recording.MAX_KEPT_BYTES, 1), (0, 2)])
