@@ -206,6 +206,10 @@ class Config(Settings):
         """Return the mount of each lidar, by number; None for one that the scans state."""
         return [self.lidar.mount, *([self.second_lidar.mount] if self.second_lidar.topic else [])]
 
+    def with_mount(self, mount: tuple[float, float, float]) -> Config:
+        """Return these settings with a mount of the first lidar."""
+        return self.model_copy(update={"lidar": self.lidar.model_copy(update={"mount": mount})})
+
     def without_mounts(self) -> Config:
         """Return these settings for scans that state their mounts."""
         lidars = {"lidar": self.lidar, "second_lidar": self.second_lidar}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ from ..io.recording_timing import RecordingTiming, timed
 from .console import progress
 
 if TYPE_CHECKING:
-    from ..io.sessions import Recording
+    from ..io.sessions import Recording, StoredSession
 
 
 class RunInput(Protocol):
@@ -66,8 +66,10 @@ class RunInput(Protocol):
 class RecordingInput:
     """A `RunInput` from a recording or a simulation, with a progress bar."""
 
-    def __init__(self, source: Source, reopen: str) -> None:
+    def __init__(self, source: Source, reopen: str, earlier: StoredSession | None = None) -> None:
+        """`earlier` is the session that the run continues or localises in: its lidar is probably the same."""
         self.name, self.reopen, self.finite = source.name, reopen, True
+        self._earlier_mount = None if earlier is None else earlier.last_mount
         self.sinks: Sequence[Sink] = ()
         self._source = source
         self._timing: RecordingTiming | None = None
@@ -94,7 +96,11 @@ class RecordingInput:
 
     def resolve(self, config: Config) -> Config:
         """Return the settings with each lidar's delay that the recording shows, if none is set."""
-        config, self._timing, self._second_timing = timed(self._source, config)
+        config, timing, self._second_timing = timed(self._source, config)
+        if self._earlier_mount is not None and timing.mount_unknown and timing.used_heading is None:
+            config = config.with_mount(self._earlier_mount)
+            timing = replace(timing, mount_unknown=False, earlier_mount=self._earlier_mount)
+        self._timing = timing
         return config
 
     def facts(self) -> dict[str, Any]:

@@ -37,6 +37,7 @@ class RecordingTiming:
     stated_mount    mount of the lidar by the settings, else by the recording: x, y (metres), heading; None if neither
                     states one
     mount_unknown   true if nothing states it, although the odometry of the base is used
+    earlier_mount   mount of the lidar in an earlier run, which is used as nothing else states it; else None
     turn_doubts     what is probably wrong with the turns of odometry, as lines of text
     floor           the floor that the lidar sees, whose returns are left out when the recording is read; None if none
     own_returns     returns from the robot itself, which are left out likewise; None if none
@@ -49,6 +50,7 @@ class RecordingTiming:
     mount_heading: MountHeading | None = None
     stated_mount: tuple[float, float, float] | None = None
     mount_unknown: bool = False
+    earlier_mount: tuple[float, float, float] | None = None
     turn_doubts: tuple[str, ...] = ()
     floor: Floor | None = None
     own_returns: OwnReturns | None = None
@@ -84,7 +86,7 @@ class RecordingTiming:
             used = delay.seconds if delay is not None and delay.objection is None else 0.0
         unknown = mount is None and reader.has_scans and reader.has_odometry and not reader.states_mount
         seen = reader.floor, reader.own_returns
-        return cls(reader.beam_times, test, delay, used, heading, mount, unknown, doubts, *seen)
+        return cls(reader.beam_times, test, delay, used, heading, mount, unknown, None, doubts, *seen)
 
     @property
     def used_heading(self) -> float | None:
@@ -155,6 +157,10 @@ class RecordingTiming:
             lines.append(f"{_late(self.used_delay, self.delay)}; compensated")
         if self.used_heading is not None:
             lines.append(f"lidar turned by {self._turn()} on the robot, as no mount is stated; corrected")
+        if self.earlier_mount is not None:
+            x, y, heading = self.earlier_mount
+            place = f"x {x:z.3f} m, y {y:z.3f} m, heading {math.degrees(heading):z.1f} degrees"
+            lines.append(f"lidar mounted at {place}, as in the session, as no mount is stated")
         return lines
 
     def doubts(self) -> list[str]:

@@ -58,6 +58,12 @@ class StoredSession:
         return max(stamps, default=-np.inf)
 
     @property
+    def last_mount(self) -> tuple[float, float, float] | None:
+        """Mount of the first lidar in the last recording if it was set or found; None if the scans state it."""
+        mounts = self.recordings[-1].mounts if self.recordings else None
+        return mounts[0] if mounts else None
+
+    @property
     def first_pose(self) -> se2.Pose:
         """Pose (3,) of the first keyframe in the map."""
         return np.array(self.slam_state.mapper.keyframe_poses[0])

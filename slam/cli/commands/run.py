@@ -66,7 +66,7 @@ def run(
         start = without_odometry(start, "--no-odometry")
     elif reason is not None:
         start = without_odometry(start, f"{source.name}: {reason}")
-    run_input = RecordingInput(source, reopen=recording_to_reopen(recording))
+    run_input = RecordingInput(source, reopen=recording_to_reopen(recording), earlier=start.resumed)
     result = run_slam(run_input, start, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
     typer.echo("\n".join(format_summary(result, out)))
     return_freed_memory()  # as the process ends, the code of all libraries is loaded once more

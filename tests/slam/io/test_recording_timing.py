@@ -7,6 +7,8 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -32,6 +34,7 @@ from slam.cli.run_input import RecordingInput
 from slam.config import Config, LidarConfig, SecondLidarConfig, load_config
 from slam.io.recording_timing import UNKNOWN_MOUNT, RecordingTiming, timed
 from slam.io.recordings import open_source, reason_without_odometry
+from slam.io.stored_session import StoredSession
 
 from ...drivers.timing.drives import mirrored, office_drive, with_late_scans, with_turned_lidar
 
@@ -222,6 +225,24 @@ def test_lidars_have_one_delay_unless_they_clearly_differ(second: Delay | None, 
     first = RecordingTiming(delay=Delay(0.32, 0.02, None), used_delay=0.3)
     own = 0.0 if second is None or second.objection else second.seconds
     assert RecordingTiming(delay=second, used_delay=own).beside(first).used_delay == used
+
+
+def test_the_mount_of_the_session_is_used_if_nothing_else_states_it(tmp_path: Path) -> None:
+    """A short drive may not show again that the lidar points backwards."""
+    path, session = tmp_path / "drive.mcap", SimpleNamespace(last_mount=(0.1, 0.0, 3.0))
+    with McapWriter(path) as writer:
+        for message in Simulation("room", duration=2.0):
+            writer.write(replace(message, mount=None) if isinstance(message, Scan) else message)
+    run_input = RecordingInput(drivers.open(path), str(path), cast(StoredSession, session))
+    assert run_input.resolve(Config()).mounts() == [(0.1, 0.0, 3.0)]
+    facts = run_input.facts()
+    used = "lidar mounted at x 0.100 m, y 0.000 m, heading 171.9 degrees, as in the session, as no mount is stated"
+    assert facts["interpretations"] == [used]
+    assert facts["doubts"] == []
+    stated = Config(lidar=LidarConfig(mount=(0.0, 0.0, 1.0)))
+    assert run_input.resolve(stated).mounts() == [(0.0, 0.0, 1.0)]
+    other = RecordingInput(Simulation("room", duration=1.0), "sim:room", cast(StoredSession, session))
+    assert other.resolve(Config()).mounts() == [None]
 
 
 def test_the_mount_that_is_found_of_a_second_lidar_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
