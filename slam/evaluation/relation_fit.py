@@ -19,6 +19,7 @@ from drivers.messages import Scan
 from ..errors import MapError
 from ..geometry.segments import Floats
 from ..io.tum import Trajectory
+from ..preprocessing.deskew import sweep_middle
 from .metrics import Relations, motion_errors
 
 FIT_SIGMA = 0.03
@@ -63,11 +64,14 @@ class RelationFit:
 def compare_fits(trajectory: Trajectory, relations: Relations, scans: Iterable[Scan]) -> RelationFit:
     """Return how well the scans of a recording fit along a trajectory and by relations.
 
-    The motion of the robot within a sweep is neglected. Raises MapError if no relation has two scans.
+    The stamp of a relation is that of a scan, or of the middle of its sweep: logs that state no times of the beams have
+    that stamp. The motion of the robot within a sweep is neglected. Raises MapError if no relation has two scans.
     """
     kept = sorted(scans, key=lambda scan: scan.stamp)
-    stamps = np.array([scan.stamp for scan in kept])
-    rows = [_rows_at(stamps, times) for times in (relations.first, relations.second)]
+    stamps, middles = (np.array([f(scan) for scan in kept]) for f in (lambda scan: scan.stamp, sweep_middle))
+    at_stamps = [_rows_at(stamps, times) for times in (relations.first, relations.second)]
+    at_middles = [_rows_at(middles, times) for times in (relations.first, relations.second)]
+    rows = [np.where(one >= 0, one, other) for one, other in zip(at_stamps, at_middles, strict=True)]
     start, end = trajectory.at(relations.first), trajectory.at(relations.second)
     known = start.covered & end.covered & (rows[0] >= 0) & (rows[1] >= 0)
     if not known.any():

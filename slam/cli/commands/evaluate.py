@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -77,7 +79,7 @@ def _against_relations(
 
     path, true = _read(trajectory), read_relations(relations)
     score = score_relations(path, true)
-    figures = score.figures() | (_fit_figures(path, true, recording) if recording is not None else {})
+    figures = score.figures() | ({} if recording is None else _fit_figures(trajectory, path, true, recording))
     if as_json:
         typer.echo(json.dumps(figures))
     else:
@@ -111,13 +113,28 @@ def _warn_if_unrelated(trajectory: Path, true: Path, unrelated: bool) -> None:
         print_message(f"{trajectory}: its turns are not those of {true}: are both of the same drive?")
 
 
-def _fit_figures(path: Trajectory, relations: Relations, recording: Path) -> dict[str, float]:
+def _fit_figures(results: Path, path: Trajectory, relations: Relations, recording: Path) -> dict[str, float]:
+    """Return how well the scans of a recording fit; of `results` of a run, with its settings and mounts."""
+    import numpy as np
+
     import drivers
 
+    from ...config import Config
     from ...evaluation.relation_fit import compare_fits
+    from ...io.recordings import open_source
+    from ...io.run_results import read_run_results
 
-    scans = (message for message in drivers.open(recording) if isinstance(message, drivers.Scan))
-    return compare_fits(path, relations, scans).figures()
+    run = read_run_results(results) if results.is_dir() else None
+    config = Config() if run is None else run.config()
+    mount = config.lidar.mount if run is None or config.lidar.mount is not None else run.mounts()[0]
+
+    def scans() -> Iterator[drivers.Scan]:
+        for message in open_source(recording, config):
+            if isinstance(message, drivers.Scan) and not message.lidar:
+                stated = message.mount is not None and config.lidar.mount is None
+                yield message if stated or mount is None else replace(message, mount=np.array(mount))
+
+    return compare_fits(path, relations, scans()).figures()
 
 
 def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_json: bool) -> None:

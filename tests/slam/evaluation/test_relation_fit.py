@@ -54,6 +54,16 @@ def test_relations_fit_better_where_the_path_is_wrong(drive: tuple[Trajectory, R
     assert np.mean(fit.by_path > fit.by_relation) < 0.2
 
 
+def test_relations_may_name_the_middle_of_a_sweep(drive: tuple[Trajectory, Relations, list[Scan]]) -> None:
+    """As in a log that states no times of the beams, if these are found."""
+    path, relations, scans = drive
+    half = 0.5 * scans[0].duration
+    assert half > 0.05
+    later = Relations(relations.first + half, relations.second + half, relations.motion)
+    fit = compare_fits(Trajectory(path.stamps + half, path.poses), later, scans)
+    np.testing.assert_array_equal(fit.by_path, compare_fits(path, relations, scans).by_path)
+
+
 def test_relations_of_another_drive_are_refused(drive: tuple[Trajectory, Relations, list[Scan]]) -> None:
     path, relations, scans = drive
     for others in (Relations(relations.first + 1e4, relations.second + 1e4, relations.motion), relations):
