@@ -26,7 +26,7 @@ from .tum import Trajectory, read_tum_poses, write_tum
 
 TABLES = ("recordings", "devices")
 SUMMARY_TYPES: dict[str, type[dict[str, Any]] | type[list[Any]]] = {
-    **dict.fromkeys(("slam", "skipped", "corrected", "truth", "versions", "timing", "review"), dict),
+    **dict.fromkeys(("slam", "skipped", "corrected", "truth", "versions", "timing", "second_timing", "review"), dict),
     **dict.fromkeys(("warnings", "interpretations", "doubts", "gaps", *TABLES), list),
 }
 """Types of the entries of summary.json that are not plain values."""
@@ -50,6 +50,16 @@ class RunResults:
     def config(self) -> Config:
         """Read the settings of the run. Raises ConfigurationError if that is not possible."""
         return load_config(self.path / CONFIG)
+
+    def config_as_used(self) -> Config:
+        """Read the settings of the run, with the delays of the lidars that it has found. Raises ConfigurationError."""
+        config = self.config()
+        found = {"lidar": self.summary.get("timing"), "second_lidar": self.summary.get("second_timing")}
+        for number, (name, timing) in enumerate(found.items()):
+            lidar, delay = config.of_lidar(number), (timing or {}).get("compensated_delay")
+            if lidar.delay is None and isinstance(delay, float):
+                config = config.model_copy(update={name: lidar.model_copy(update={"delay": delay})})
+        return config
 
     def mounts(self) -> Floats:
         """Return the mounts (k, 3) of the lidars; one at the origin of the base if they are unknown.

@@ -169,7 +169,7 @@ def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
             return kept
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
-    config = session.config()
+    config = session.config_as_used()
     config = config.without_mounts() if recording is None and states_mounts(session) else config
     scans = place_scans(messages, session.trajectory, config, session.mounts())
     return same_scans(scans, kept, session.path, source.name)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.messages import Scan
-from slam.config import Config, config_to_toml
+from slam.config import Config, SecondLidarConfig, config_to_toml
 from slam.io.output_dir import CONFIG
 from slam.io.recordings import open_recording, recording_to_reopen, states_mounts
 from slam.io.run_results import RunResults
@@ -44,6 +44,16 @@ def test_scans_of_each_recording_have_the_mount_with_which_they_were_mapped(tmp_
 @pytest.mark.parametrize("recordings", [({},), ({"mounts": [TURNED]}, {})])
 def test_results_of_older_versions_state_no_mounts(tmp_path: Path, recordings: tuple[dict[str, object], ...]) -> None:
     assert not states_mounts(results(tmp_path, *recordings))
+
+
+def test_delays_that_a_run_has_found_are_those_of_its_settings_unless_these_state_others(tmp_path: Path) -> None:
+    found = results(tmp_path, {})
+    found.summary.update(timing={"compensated_delay": 0.1}, second_timing={"compensated_delay": 0.4})
+    assert found.config_as_used().second_lidar_delay == pytest.approx(0.3)
+    (tmp_path / CONFIG).write_text(config_to_toml(Config(second_lidar=SecondLidarConfig(delay=0.2))))
+    assert found.config_as_used().second_lidar_delay == pytest.approx(0.1)
+    found.summary.update(timing=None, second_timing={"compensated_delay": "late"})
+    assert found.config_as_used().lidar.delay is None
 
 
 def test_a_replay_is_opened_again_as_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
