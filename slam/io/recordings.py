@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 import drivers
+from drivers import se2
 from drivers.messages import Message, Odometry, Scan, Source, SourceReport
 from drivers.source_factory import LidarSelection, recording_of
 
@@ -105,10 +106,21 @@ def open_recording(results: RunResults, override: str | None = None) -> Source:
     recordings = summary.get("recordings") or [single]
     sources = [_open(results, recording.get("name", ""), recording.get("path"), config) for recording in recordings]
     shifts = [float(recording.get("shift", 0.0)) for recording in recordings]
-    mounts = [recording.get("mounts") or () for recording in recordings]
-    if len(sources) == 1 and not shifts[0] and not any(mounts[0]):
+    mounts = [_mounts(results, recording.get("mounts") or []) for recording in recordings]
+    if len(sources) == 1 and not shifts[0] and all(mount is None for mount in mounts[0]):
         return sources[0]
     return ConcatenatedSource(sources, shifts, mounts)
+
+
+def _mounts(results: RunResults, stated: Any) -> list[se2.Pose | None]:
+    """Return the mounts of a recording's lidars from the summary. Raises MapError if they are invalid."""
+    try:
+        mounts = [None if mount is None else np.array(mount, dtype=np.float64) for mount in stated]
+    except (TypeError, ValueError):
+        mounts = [np.zeros(0)]
+    if not all(mount is None or (mount.shape == (3,) and np.isfinite(mount).all()) for mount in mounts):
+        raise MapError(f"{results.path}: mounts of a recording in its summary must have x, y and heading of each")
+    return mounts
 
 
 def states_mounts(results: RunResults) -> bool:
@@ -134,7 +146,7 @@ class ConcatenatedSource:
     """
 
     def __init__(
-        self, sources: Sequence[Source], shifts: Sequence[float], mounts: Sequence[Sequence[Sequence[float] | None]]
+        self, sources: Sequence[Source], shifts: Sequence[float], mounts: Sequence[Sequence[se2.Pose | None]]
     ) -> None:
         self.name = ", ".join(source.name for source in sources)
         self.report = SourceReport()
@@ -149,7 +161,7 @@ class ConcatenatedSource:
             for message in source:
                 if isinstance(message, Scan) and message.lidar < len(mounts):
                     mount = mounts[message.lidar]
-                    message = message if mount is None else replace(message, mount=np.array(mount))
+                    message = message if mount is None else replace(message, mount=mount)
                 yield replace(message, stamp=message.stamp + shift) if shift else message
             self._add_to_report(source.report)
 

@@ -9,6 +9,7 @@ import pytest
 
 from drivers.messages import Scan
 from slam.config import Config, SecondLidarConfig, config_to_toml
+from slam.errors import MapError
 from slam.io.output_dir import CONFIG
 from slam.io.recordings import open_recording, recording_to_reopen, states_mounts
 from slam.io.run_results import RunResults
@@ -39,6 +40,12 @@ def test_scans_of_each_recording_have_the_mount_with_which_they_were_mapped(tmp_
     assert headings[0] == 3.0
     assert headings[-1] == 0.0
     assert len(set(headings)) == 2
+
+
+@pytest.mark.parametrize("mounts", [["left"], [[0.0, 1.0]], [[0.0, 1.0, None]], 3, [{"x": 1.0}]])
+def test_invalid_mounts_are_one_line_errors(tmp_path: Path, mounts: object) -> None:
+    with pytest.raises(MapError, match="mounts of a recording in its summary must have x, y and heading"):
+        open_recording(results(tmp_path, {"mounts": mounts}))
 
 
 @pytest.mark.parametrize("recordings", [({},), ({"mounts": [TURNED]}, {})])
