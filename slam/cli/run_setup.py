@@ -43,6 +43,11 @@ class RunSetup:
     pose: se2.Pose | None = None
     plan: PlanMap | None = None
 
+    @property
+    def leaves_out_odometry(self) -> bool:
+        """True if there is a session that was mapped by the scans alone, so that the run is mapped likewise."""
+        return self.resumed is not None and self.config.odometry.source == "none"
+
 
 def prepare_run(
     continued: Path | None,

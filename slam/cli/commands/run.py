@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import typer
 
+from ..console import print_message
 from ..options import (
     ConfigOption,
     ContinueOption,
@@ -47,7 +48,7 @@ def run(
     Example: [bold]wclm run intel.clf --out results/intel --plot[/bold]
     """
     from ...io.output_dir import OutputDirectory
-    from ...io.recordings import open_to_map, recording_to_reopen
+    from ...io.recordings import open_to_map, reason_without_odometry, recording_to_reopen
     from ...memory import return_freed_memory
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
@@ -66,6 +67,8 @@ def run(
         start = without_odometry(start, "--no-odometry")
     elif reason is not None:
         start = without_odometry(start, f"{source.name}: {reason}")
+    elif start.leaves_out_odometry and reason_without_odometry(source) is None:
+        print_message(f"{source.name}: its odometry is not used, as the session was mapped without")
     run_input = RecordingInput(source, reopen=recording_to_reopen(recording), earlier=start.resumed)
     result = run_slam(run_input, start, out, overwrite=overwrite, review=review, picture=plot, refine=refine)
     typer.echo("\n".join(format_summary(result, out)))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers import se2
-from drivers.messages import Odometry
+from drivers.messages import Odometry, Scan
 from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.simulation import LidarModel, Simulation
 from slam.graph.pose_graph import optimise, read_pose_graph
@@ -184,6 +184,20 @@ def test_optimize_names_what_it_cannot_refine(wclm: Any) -> None:
     assert wclm("run", "sim:room?duration=0.5", "--out", "short", "--no-review").exit_code == 0
     because = ["short: nothing to optimise: the session has fewer than two keyframes"]
     wclm.refuses("optimize", "short", "--out", "better", because=because)
+
+
+def test_odometry_that_is_left_out_as_the_session_has_none_is_named(wclm: Any, tmp_path: Path) -> None:
+    for name, kinds in (("alone.mcap", Scan), ("both.mcap", Scan | Odometry)):
+        with McapWriter(tmp_path / name) as writer:
+            for message in Simulation("room", duration=3.0, lidar=LidarModel(beams=180, rate=5.0)):
+                if isinstance(message, kinds):
+                    writer.write(message)
+    assert wclm("run", "alone.mcap", "--out", "alone", "--no-review").exit_code == 0
+    text = "both.mcap: its odometry is not used, as the session was mapped without"
+    for recording, said in (("both.mcap", True), ("alone.mcap", False)):
+        result = wclm("run", recording, "--continue", "alone", "--out", "longer", "--no-review", "--overwrite")
+        assert result.exit_code == 0, result.output
+        assert (text in result.stderr) == said
 
 
 def test_an_output_directory_without_session_is_refused(wclm: Any, session: Path) -> None:
