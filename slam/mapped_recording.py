@@ -51,6 +51,7 @@ class MappedRecording:
     slam      pipeline that made it
     source    recording as it was read
     reopen    argument of `drivers.open` that opens the recording again, from any working directory
+    config    settings, without what the recording shows of the lidars
     """
 
     name: str
@@ -60,6 +61,7 @@ class MappedRecording:
     slam: Slam
     source: Source
     reopen: str
+    config: Config
 
     @property
     def walls(self) -> MapWalls:
@@ -148,7 +150,15 @@ class MappedRecording:
         recording = Recording(
             name=self.name, path=self.reopen, first=first, last=last, recorded_stamps=stamps, mounts=mounts
         )
-        save_run(self.slam, self.finished, directory, name=self.name, recording=recording, overwrite=overwrite)
+        save_run(
+            self.slam,
+            self.finished,
+            directory,
+            name=self.name,
+            recording=recording,
+            config=self.config,
+            overwrite=overwrite,
+        )
 
     def svg(self, measurements: Sequence[Measurement] = ()) -> str:
         """Return a drawing of map and path in the scale 1 : 100, with dimension lines of measurements, as SVG."""
@@ -218,7 +228,7 @@ def run(
         raise MapError(f"{source.name}: {error}") from error
     by_odometry = odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3))
     reopen = recording_to_reopen(str(recording))
-    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam, source, reopen)
+    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam, source, reopen, config)
 
 
 def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:

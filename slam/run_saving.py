@@ -16,6 +16,7 @@ from .io.tum import Trajectory
 from .reporting.summary import summarise
 
 if TYPE_CHECKING:
+    from .config import Config
     from .io.sessions import Recording
     from .pipeline import Slam
 
@@ -27,6 +28,7 @@ def save_run(
     *,
     name: str = "run",
     recording: Recording | None = None,
+    config: Config | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write the output directory of a run that has ended, as `wclm run` does, without the review log.
@@ -37,6 +39,7 @@ def save_run(
     name       of the run in the results
     recording  that was mapped, to be found again; by default the measurements cannot be read again, and no occupancy
                grid drawn from them
+    config     settings that are written, without what the recording shows of the lidars; by default those of the run
     overwrite  replace earlier results
 
     `slam.io.run_results.read_run_results` reads the results, `slam.io.sessions.read_session` what `Slam(resumed=...)`
@@ -69,5 +72,5 @@ def save_run(
     with OutputDirectory(Path(directory), overwrite) as place:
         if pipeline.extends_map:
             write_session(place, session)
-        write_results(place, finished, pipeline.config, summary)
+        write_results(place, finished, config or pipeline.config, summary)
         write_page(place / REPORT, read_run_results(place))

@@ -13,7 +13,9 @@ import pytest
 import slam
 from drivers.messages import Message
 from drivers.simulation import Simulation
+from slam.config import Config, LidarConfig, load_config
 from slam.errors import MessageError, OutputError
+from slam.io.output_dir import CONFIG
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
 
@@ -104,3 +106,12 @@ def test_earlier_results_are_replaced_only_if_allowed(tmp_path: Path, messages: 
     summary = read_run_results(tmp_path / "own").summary
     assert summary["recording"] == "again"
     assert len(summary["recordings"]) == 1
+
+
+def test_what_a_recording_shows_of_its_lidar_is_no_setting_of_the_next_drive(tmp_path: Path) -> None:
+    """Whoever continues the session may have corrected the stamps by then."""
+    mapped = slam.run("sim:room?duration=2")
+    late = mapped.slam.config.model_copy(update={"lidar": LidarConfig(delay=0.3)})
+    mapped.slam.config = late
+    mapped.save(tmp_path / "map")
+    assert load_config(tmp_path / "map" / CONFIG) == mapped.config == Config()
