@@ -180,9 +180,10 @@ def warm_up() -> None:
 
 
 def _turn_between(farthest: Floats, before: Floats) -> float | None:
-    """Return the turn (radians) between two scans given by their farthest returns (BINS,); None if no turn fits.
+    """Return the turn (radians) between two scans given by their farthest returns (BINS,).
 
-    It is zero if most of what both show is at the same place, and if they show too little.
+    It is zero if most of what both show is at the same place, or if that is too little to tell. None if no turn fits,
+    or if they show nothing in common.
     """
     same, common = _agreeing(farthest, before, 0, MIN_CHANGE)
     if 2 * same > common or 0 < common < MIN_COMMON:

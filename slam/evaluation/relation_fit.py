@@ -68,10 +68,11 @@ def compare_fits(trajectory: Trajectory, relations: Relations, scans: Iterable[S
     that stamp. The motion of the robot within a sweep is neglected. Raises MapError if no relation has two scans.
     """
     kept = sorted(scans, key=lambda scan: scan.stamp)
-    stamps, middles = (np.array([f(scan) for scan in kept]) for f in (lambda scan: scan.stamp, sweep_middle))
-    at_stamps = [_rows_at(stamps, times) for times in (relations.first, relations.second)]
-    at_middles = [_rows_at(middles, times) for times in (relations.first, relations.second)]
-    rows = [np.where(one >= 0, one, other) for one, other in zip(at_stamps, at_middles, strict=True)]
+    stamps, middles = np.array([scan.stamp for scan in kept]), np.array([sweep_middle(scan) for scan in kept])
+    rows = []
+    for times in (relations.first, relations.second):
+        at_stamps = _rows_at(stamps, times)
+        rows.append(np.where(at_stamps >= 0, at_stamps, _rows_at(middles, times)))
     start, end = trajectory.at(relations.first), trajectory.at(relations.second)
     known = start.covered & end.covered & (rows[0] >= 0) & (rows[1] >= 0)
     if not known.any():

@@ -85,8 +85,18 @@ class RecordingTiming:
             delay = reader.delay
             used = delay.seconds if delay is not None and delay.objection is None else 0.0
         unknown = mount is None and reader.has_scans and reader.has_odometry and not reader.states_mount
-        seen = reader.floor, reader.own_returns
-        return cls(reader.beam_times, test, delay, used, heading, mount, unknown, None, doubts, *seen)
+        return cls(
+            beam_times=reader.beam_times,
+            order_test=test,
+            delay=delay,
+            used_delay=used,
+            mount_heading=heading,
+            stated_mount=mount,
+            mount_unknown=unknown,
+            turn_doubts=doubts,
+            floor=reader.floor,
+            own_returns=reader.own_returns,
+        )
 
     @property
     def used_heading(self) -> float | None:

@@ -95,21 +95,22 @@ def has_recording(results: RunResults) -> bool:
 def open_recording(results: RunResults, override: str | None = None) -> Source:
     """Open the recording of a run, or `override`, an argument of `drivers.open`.
 
-    The recordings of a continued or merged session are opened as one source. Raises MapError if the summary does not
-    name the recording or the recording does not exist any more, RecordingError if `override` cannot be opened.
+    The recordings of a continued or merged session are opened as one source. Scans state the mounts with which they
+    were mapped, those of `override` that of the first recording; see `RunResults.config_as_used`. Raises MapError if
+    the summary does not name the recording or the recording does not exist any more, RecordingError if `override`
+    cannot be opened.
     """
-    config = results.config()
-    if override is not None:
-        return open_source(override, config)
-    summary = results.summary
+    config, summary = results.config(), results.summary
     single = {"name": summary.get("recording", ""), "path": summary.get("recording_path")}
     recordings = summary.get("recordings") or [single]
+    if override is not None:
+        mounts = _mounts(results, recordings[0].get("mounts") or [])
+        return ConcatenatedSource([open_source(override, config)], [0.0], [mounts])
     sources = [_open(results, recording.get("name", ""), recording.get("path"), config) for recording in recordings]
     shifts = [float(recording.get("shift", 0.0)) for recording in recordings]
-    mounts = [_mounts(results, recording.get("mounts") or []) for recording in recordings]
-    if len(sources) == 1 and not shifts[0] and all(mount is None for mount in mounts[0]):
-        return sources[0]
-    return ConcatenatedSource(sources, shifts, mounts)
+    return ConcatenatedSource(
+        sources, shifts, [_mounts(results, recording.get("mounts") or []) for recording in recordings]
+    )
 
 
 def _mounts(results: RunResults, stated: Any) -> list[se2.Pose | None]:
@@ -121,12 +122,6 @@ def _mounts(results: RunResults, stated: Any) -> list[se2.Pose | None]:
     if not all(mount is None or (mount.shape == (3,) and np.isfinite(mount).all()) for mount in mounts):
         raise MapError(f"{results.path}: mounts of a recording in its summary must have x, y and heading of each")
     return mounts
-
-
-def states_mounts(results: RunResults) -> bool:
-    """Return True if the scans of `open_recording` state the mounts that were used; those of older results do not."""
-    recordings = results.summary.get("recordings") or [{}]
-    return all(recording.get("mounts") is not None for recording in recordings)
 
 
 def _open(results: RunResults, name: str, path: object, config: Config) -> Source:

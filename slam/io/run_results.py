@@ -52,14 +52,19 @@ class RunResults:
         return load_config(self.path / CONFIG)
 
     def config_as_used(self) -> Config:
-        """Read the settings of the run, with the delays of the lidars that it has found. Raises ConfigurationError."""
+        """Read the settings with which the scans of `open_recording` are placed as in the run.
+
+        They have the delays of the lidars that the run has found, and no mounts if the scans state them: as
+        `open_recording` returns them, except those of results of older versions. Raises ConfigurationError.
+        """
         config = self.config()
         found = {"lidar": self.summary.get("timing"), "second_lidar": self.summary.get("second_timing")}
         for number, (name, timing) in enumerate(found.items()):
             lidar, delay = config.of_lidar(number), (timing or {}).get("compensated_delay")
             if lidar.delay is None and isinstance(delay, float):
                 config = config.model_copy(update={name: lidar.model_copy(update={"delay": delay})})
-        return config
+        recordings = self.summary.get("recordings") or [{}]
+        return config.without_mounts() if all(one.get("mounts") is not None for one in recordings) else config
 
     def mounts(self) -> Floats:
         """Return the mounts (k, 3) of the lidars; one at the origin of the base if they are unknown.

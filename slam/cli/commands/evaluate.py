@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -115,26 +114,22 @@ def _warn_if_unrelated(trajectory: Path, true: Path, unrelated: bool) -> None:
 
 def _fit_figures(results: Path, path: Trajectory, relations: Relations, recording: Path) -> dict[str, float]:
     """Return how well the scans of a recording fit; of `results` of a run, with its settings and mounts."""
-    import numpy as np
-
     import drivers
 
     from ...config import Config
     from ...evaluation.relation_fit import compare_fits
-    from ...io.recordings import open_source
+    from ...io.recordings import open_recording
     from ...io.run_results import read_run_results
+    from ...preprocessing.deskew import lidar_mount
 
-    run = read_run_results(results) if results.is_dir() else None
-    config = Config() if run is None else run.config()
-    mount = config.lidar.mount if run is None or config.lidar.mount is not None else run.mounts()[0]
-
-    def scans() -> Iterator[drivers.Scan]:
-        for message in open_source(recording, config):
-            if isinstance(message, drivers.Scan) and not message.lidar:
-                stated = message.mount is not None and config.lidar.mount is None
-                yield message if stated or mount is None else replace(message, mount=np.array(mount))
-
-    return compare_fits(path, relations, scans()).figures()
+    if results.is_dir():
+        run = read_run_results(results)
+        source, config = open_recording(run, str(recording)), run.config_as_used()
+    else:
+        source, config = drivers.open(recording), Config()
+    scans = (message for message in source if isinstance(message, drivers.Scan) and not message.lidar)
+    mounted = (replace(scan, mount=lidar_mount(scan, config.lidar)) for scan in scans)
+    return compare_fits(path, relations, mounted).figures()
 
 
 def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_json: bool) -> None:

@@ -157,7 +157,7 @@ def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
     If they are other scans than those that the session keeps, the iterator raises MapError at the end.
     """
     from ...io.exports import place_scans, place_stored_scans, same_scans
-    from ...io.recordings import has_recording, open_recording, states_mounts
+    from ...io.recordings import has_recording, open_recording
     from ...io.sessions import is_session, read_session
 
     kept: Iterator[PlacedScan] = iter(())
@@ -169,7 +169,5 @@ def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
             return kept
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
-    config = session.config_as_used()
-    config = config.without_mounts() if recording is None and states_mounts(session) else config
-    scans = place_scans(messages, session.trajectory, config, session.mounts())
+    scans = place_scans(messages, session.trajectory, session.config_as_used())
     return same_scans(scans, kept, session.path, source.name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -31,14 +30,10 @@ class PlacedScan:
     points: Floats
 
 
-def place_scans(
-    messages: Iterable[Message], trajectory: Trajectory, config: Config, mounts: Floats | None = None
-) -> Iterator[PlacedScan]:
+def place_scans(messages: Iterable[Message], trajectory: Trajectory, config: Config) -> Iterator[PlacedScan]:
     """Yield the scans among `messages` within the time of `trajectory`, de-skewed along it, in the map.
 
     Ranges outside the limits of the lidar's settings and of the scan are left out, as during SLAM.
-
-    mounts  (k, 3) of the lidars as used during SLAM, for those whose mount neither the settings nor the scans state
     """
     from ...preprocessing.deskew import deskew, lidar_mount, sweep_middle  # only here: most exports place no scans
 
@@ -50,8 +45,6 @@ def place_scans(
         scan = on_clock_of_first(message, config.second_lidar_delay)
         if not isinstance(scan, Scan) or not first <= sweep_middle(scan) <= last:
             continue
-        if scan.mount is None and mounts is not None and scan.lidar < len(mounts):
-            scan = replace(scan, mount=mounts[scan.lidar])
         lidar = config.of_lidar(scan.lidar)
         mount = lidar_mount(scan, lidar)
         sweep = deskew(scan, path, mount, lidar.range_bias)

@@ -11,7 +11,7 @@ from drivers.messages import Scan
 from slam.config import Config, SecondLidarConfig, config_to_toml
 from slam.errors import MapError
 from slam.io.output_dir import CONFIG
-from slam.io.recordings import open_recording, recording_to_reopen, states_mounts
+from slam.io.recordings import open_recording, recording_to_reopen
 from slam.io.run_results import RunResults
 from slam.io.tum import Trajectory
 from slam.mapping.map_features import MapCorners, MapWalls
@@ -35,7 +35,8 @@ def results(folder: Path, *recordings: dict[str, object]) -> RunResults:
 def test_scans_of_each_recording_have_the_mount_with_which_they_were_mapped(tmp_path: Path) -> None:
     """The settings of merged sessions are those of the first; what a run has found is in no settings."""
     opened = results(tmp_path, {"mounts": [TURNED]}, {"mounts": [None], "shift": 10.0})
-    assert states_mounts(opened)
+    (tmp_path / CONFIG).write_text(config_to_toml(Config().with_mount((0.0, 0.0, 1.0))))
+    assert opened.config_as_used().mounts() == [None]
     headings = [message.mount[2] for message in open_recording(opened) if isinstance(message, Scan)]
     assert headings[0] == 3.0
     assert headings[-1] == 0.0
@@ -50,7 +51,9 @@ def test_invalid_mounts_are_one_line_errors(tmp_path: Path, mounts: object) -> N
 
 @pytest.mark.parametrize("recordings", [({},), ({"mounts": [TURNED]}, {})])
 def test_results_of_older_versions_state_no_mounts(tmp_path: Path, recordings: tuple[dict[str, object], ...]) -> None:
-    assert not states_mounts(results(tmp_path, *recordings))
+    opened = results(tmp_path, *recordings)
+    (tmp_path / CONFIG).write_text(config_to_toml(Config().with_mount((0.0, 0.0, 1.0))))
+    assert opened.config_as_used().mounts() == [(0.0, 0.0, 1.0)]
 
 
 def test_delays_that_a_run_has_found_are_those_of_its_settings_unless_these_state_others(tmp_path: Path) -> None:
