@@ -131,7 +131,10 @@ class OwnReturnsDetector:
                 self._compare(_farthest(message.ranges, _bins(message.angles)))
 
     def _compare(self, farthest: Floats) -> None:
-        """Count a scan with the farthest return (BINS,) in each direction, metres, 0 for none, if its view differs."""
+        """Count a scan if its view differs from that of the compared scan before.
+
+        farthest  (BINS,) metres to the farthest return in each direction, 0 without any
+        """
         before, self._before, self._compared = self._before, farthest, self._heading
         beyond = np.maximum(farthest, before) > CELL * CELLS
         change = np.abs(farthest - before) > MIN_CHANGE * np.maximum(farthest, before)
@@ -139,7 +142,7 @@ class OwnReturnsDetector:
             self._count(farthest)
 
     def _compare_views(self, farthest: Floats) -> None:
-        """Count a scan likewise if its view is that of the compared scan before after a turn by MIN_TURN or more."""
+        """Count a scan without odometry if its view is that of the compared scan, turned by MIN_TURN or more."""
         turn = _turn_between(farthest, self._before)
         if turn is None:  # the robot has driven on to where other things are seen
             self._before = farthest

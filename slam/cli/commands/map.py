@@ -33,6 +33,8 @@ class Format(StrEnum):
 
 REGULAR = (Format.GEOJSON, Format.SVG, Format.DXF)
 """Formats of drawings, in which walls can be made regular."""
+MAX_COMPARED = 50
+"""Scans of a recording that are compared with those that the session keeps, spread over the drive."""
 OF_POINTS = (Format.PGM, Format.PLY)
 """Formats that contain scans, which are read from the recording."""
 
@@ -156,18 +158,19 @@ def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
 
     If they are other scans than those that the session keeps, the iterator raises MapError at the end.
     """
-    from ...io.exports import place_scans, place_stored_scans, same_scans
+    from ...io.exports import checked_scans, place_scans, place_stored_scans
     from ...io.recordings import has_recording, open_recording
     from ...io.sessions import is_session, read_session
 
     kept: Iterator[PlacedScan] = iter(())
     if is_session(session.path):
         stored = read_session(session.path)
-        kept = place_stored_scans(stored, session.trajectory, session.mounts()[:, :2])
+        lidars = session.mounts()[:, :2]
         if recording is None and not has_recording(session) and stored.slam_state.mapper.keyframe_count:
             print_message(f"{session.path}: the run was not recorded; the points that its session keeps are used")
-            return kept
+            return place_stored_scans(stored, session.trajectory, lidars)
+        kept = place_stored_scans(stored, session.trajectory, lidars, MAX_COMPARED)
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
     scans = place_scans(messages, session.trajectory, session.config_as_used())
-    return same_scans(scans, kept, session.path, source.name)
+    return checked_scans(scans, kept, session.path, source.name)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .occupancy import Occupancy, OccupancyGrid, Thresholds
     from .pgm import write_pgm, write_pgm_yaml
     from .ply import write_ply
-    from .scan_comparison import same_scans
+    from .scan_comparison import checked_scans
     from .scan_placement import PlacedScan, place_scans
     from .svg import write_svg
 
@@ -25,9 +25,9 @@ __all__ = [
     "OccupancyGrid",
     "PlacedScan",
     "Thresholds",
+    "checked_scans",
     "place_scans",
     "place_stored_scans",
-    "same_scans",
     "write_dxf",
     "write_geojson",
     "write_pgm",
@@ -43,7 +43,7 @@ _MODULES = {
     "Thresholds": "occupancy",
     "place_stored_scans": "keyframe_points",
     "place_scans": "scan_placement",
-    "same_scans": "scan_comparison",
+    "checked_scans": "scan_comparison",
     "write_dxf": "dxf",
     "write_geojson": "geojson",
     "write_pgm": "pgm",

@@ -51,15 +51,20 @@ class KeyframePoints:
             yield PlacedScan(self.stamp, se2.transform(pose, lidar), se2.transform(pose, own))
 
 
-def place_stored_scans(session: StoredSession, trajectory: Trajectory, lidars: Floats) -> Iterator[PlacedScan]:
+def place_stored_scans(
+    session: StoredSession, trajectory: Trajectory, lidars: Floats, max_count: int | None = None
+) -> Iterator[PlacedScan]:
     """Yield the returns of the scans that a session keeps, on the finished `trajectory`, which has a pose at each scan.
 
-    lidars  (k, 2) positions of the lidars on the base
+    lidars     (k, 2) positions of the lidars on the base
+    max_count  place at most as many scans, or few more, spread over the drive; by default all
     """
     path = OdometryHistory()
     for stamp, pose in zip(trajectory.stamps.tolist(), trajectory.poses, strict=True):
         path.add(Odometry(stamp, pose))
-    for row in np.flatnonzero(session.scan_history().has_features).tolist():
+    rows = np.flatnonzero(session.scan_history().has_features).tolist()
+    step = 1 if max_count is None else max(1, len(rows) // max_count)
+    for row in rows[::step]:
         scan = session.scans[row]
         yield from KeyframePoints.within(scan.stamp, scan.features.points.xy, lidars).placed(path.at(scan.stamp))
 

@@ -15,16 +15,13 @@ from .scan_placement import PlacedScan
 if TYPE_CHECKING:
     from ...geometry.segments import Floats
 
-MAX_COMPARED = 50
-"""Scans that are compared, spread over the drive."""
 
-
-def same_scans(
+def checked_scans(
     scans: Iterable[PlacedScan], kept: Iterable[PlacedScan], session: Path, recording: str
 ) -> Iterator[PlacedScan]:
     """Yield the scans of a recording; raise MapError at the end if there are none, or other ones than were kept.
 
-    kept                of the session, placed on the same path
+    kept                some scans of the session, placed on the same path
     session, recording  their names, for the error
 
     Scans at the same time are the same if most of the kept points are where points of the recording are.
@@ -32,13 +29,12 @@ def same_scans(
     by_stamp: dict[float, PlacedScan] = {}
     for scan in kept:
         by_stamp.setdefault(scan.stamp, scan)  # of the first lidar if there are two
-    chosen = set(list(by_stamp)[:: max(1, len(by_stamp) // MAX_COMPARED)])
     count = same = different = 0
     for scan in scans:
         count += 1
-        if scan.stamp in chosen and len(by_stamp[scan.stamp].points):
-            chosen.remove(scan.stamp)
-            is_same = _median_distance(by_stamp[scan.stamp].points, scan.points) < SURFACE_DEPTH
+        before = by_stamp.pop(scan.stamp, None)
+        if before is not None and len(before.points):
+            is_same = _median_distance(before.points, scan.points) < SURFACE_DEPTH
             same, different = same + is_same, different + (not is_same)
         yield scan
     if not count:
