@@ -22,6 +22,7 @@ from .formatting import counted
 from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
+from .io.recording_facts import RecordingFacts
 from .io.recording_timing import timed
 from .io.recordings import open_to_map, recording_to_reopen
 from .io.run_results import RunResults
@@ -52,6 +53,7 @@ class MappedRecording:
     source    recording as it was read
     reopen    argument of `drivers.open` that opens the recording again, from any working directory
     config    settings, without what the recording shows of the lidars
+    facts     on the recording, as in `summary.json`: gaps, timing, interpretations, doubts
     """
 
     name: str
@@ -62,6 +64,7 @@ class MappedRecording:
     source: Source
     reopen: str
     config: Config
+    facts: dict[str, Any]
 
     @property
     def walls(self) -> MapWalls:
@@ -92,6 +95,16 @@ class MappedRecording:
     def keyframes(self) -> Keyframes:
         """Stamps (k,) and poses (k, 3) of the keyframes, with covariances (k, 3, 3) in each pose's own frame."""
         return Keyframes.of(self.finished)
+
+    @property
+    def interpretations(self) -> list[str]:
+        """How the recording was read, and what of it was corrected, as lines of text."""
+        return list(self.facts["interpretations"])
+
+    @property
+    def doubts(self) -> list[str]:
+        """What is probably wrong with the recording or its sensors, as lines of text."""
+        return list(self.facts["doubts"])
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -157,6 +170,7 @@ class MappedRecording:
             name=self.name,
             recording=recording,
             config=self.config,
+            facts=self.facts,
             overwrite=overwrite,
         )
 
@@ -181,6 +195,7 @@ class MappedRecording:
             "path": f"{self.trajectory.length:.1f} m in {self.stamps[-1] - self.stamps[0]:.0f} s",
             "loops closed": str(loops["accepted"]),
             "suspects": "; ".join(one["text"] for one in suspects) or "none",
+            "doubts": "; ".join(self.doubts) or "none",
         }
         cells = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
         # As an image, the drawing's styles do not affect the page.
@@ -210,12 +225,15 @@ def run(
     """
     config = config or Config()
     source, reason = open_to_map(recording, config)
-    config = config if reason is None else config.without_odometry()
-    slam = Slam(timed(source, config)[0], sinks, refine=refine)
+    if reason is not None:
+        config = config.without_odometry()
+    used, timing, second = timed(source, config)
+    slam, facts = Slam(used, sinks, refine=refine), RecordingFacts(timing, second)
     odometry: list[se2.Pose] = []
     truth: list[GroundTruth] = []
     first = np.inf
     for message in source:
+        facts.add(message)
         first = min(first, message.stamp)
         if isinstance(message, Odometry):
             odometry.append(message.pose)
@@ -226,9 +244,24 @@ def run(
         finished = slam.finish()
     except MapError as error:
         raise MapError(f"{source.name}: {error}") from error
-    by_odometry = odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3))
-    reopen = recording_to_reopen(str(recording))
-    return MappedRecording(source.name, finished, by_odometry, _aligned(finished, truth), slam, source, reopen, config)
+    return MappedRecording(
+        name=source.name,
+        finished=finished,
+        odometry=odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3)),
+        truth=_aligned(finished, truth),
+        slam=slam,
+        source=source,
+        reopen=recording_to_reopen(str(recording)),
+        config=config,
+        facts=_with_reason(facts.figures(source.report), reason),
+    )
+
+
+def _with_reason(facts: dict[str, Any], reason: str | None) -> dict[str, Any]:
+    """Return facts on a recording with the reason why it was mapped by the scans alone, if it was."""
+    if reason is None:
+        return facts
+    return facts | {"interpretations": [*facts["interpretations"], f"{reason}; mapped by the scans alone"]}
 
 
 def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:

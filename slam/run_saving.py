@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -29,6 +30,7 @@ def save_run(
     name: str = "run",
     recording: Recording | None = None,
     config: Config | None = None,
+    facts: Mapping[str, Any] | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write the output directory of a run that has ended, as `wclm run` does, without the review log.
@@ -40,6 +42,7 @@ def save_run(
     recording  that was mapped, to be found again; by default the measurements cannot be read again, and no occupancy
                grid drawn from them
     config     settings that are written, without what the recording shows of the lidars; by default those of the run
+    facts      additional entries of summary.json
     overwrite  replace earlier results
 
     `slam.io.run_results.read_run_results` reads the results, `slam.io.sessions.read_session` what `Slam(resumed=...)`
@@ -68,6 +71,7 @@ def save_run(
     ) | {
         "lidars": [mount.tolist() for mount in pipeline.lidar_mounts],
         "recordings": [one.model_dump() for one in saved],
+        **(facts or {}),
     }
     with OutputDirectory(Path(directory), overwrite) as place:
         if pipeline.extends_map:

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 
 from drivers import se2
-from drivers.gaps import gap_warnings
 from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
 
 from ..config import Config
 from ..events import Sink
 from ..geometry.growing_array import GrowingArray
-from ..io.recording_timing import RecordingTiming, timed
+from ..io.recording_facts import RecordingFacts
+from ..io.recording_timing import timed
 from .console import progress
 
 if TYPE_CHECKING:
@@ -72,9 +72,7 @@ class RecordingInput:
         self._earlier_mount = None if earlier is None else earlier.last_mount
         self.sinks: Sequence[Sink] = ()
         self._source = source
-        self._timing: RecordingTiming | None = None
-        self._second_timing: RecordingTiming | None = None
-        self._scan_stamps, self._odometry_stamps = GrowingArray(()), GrowingArray(())
+        self._facts: RecordingFacts | None = None
 
     @property
     def report(self) -> SourceReport:
@@ -87,36 +85,24 @@ class RecordingInput:
         yield progress(self._messages(), len(self._source), self.name)
 
     def _messages(self) -> Iterator[Message]:
+        assert self._facts is not None
         for message in self._source:
-            if isinstance(message, Odometry):
-                self._odometry_stamps.append(message.stamp)
-            elif isinstance(message, Scan):
-                self._scan_stamps.append(message.stamp)
+            self._facts.add(message)
             yield message
 
     def resolve(self, config: Config) -> Config:
         """Return the settings with each lidar's delay that the recording shows, if none is set."""
-        config, timing, self._second_timing = timed(self._source, config)
+        config, timing, second = timed(self._source, config)
         if self._earlier_mount is not None and timing.mount_unknown and timing.used_heading is None:
             config = config.with_mount(self._earlier_mount)
             timing = replace(timing, mount_unknown=False, earlier_mount=self._earlier_mount)
-        self._timing = timing
+        self._facts = RecordingFacts(timing, second)
         return config
 
     def facts(self) -> dict[str, Any]:
         """Return the gaps in the recording, the timing of the lidar, and how the recording was read."""
-        gaps = gap_warnings(self._scan_stamps.rows, self._odometry_stamps.rows)
-        if self._timing is None:
-            return {"gaps": gaps}
-        read_as = [*self.report.interpretations, *self._timing.corrections()]
-        doubts = [*self.report.doubts, *self._timing.doubts()]
-        facts: dict[str, Any] = {"gaps": gaps, "timing": self._timing.figures()}
-        facts |= {"interpretations": read_as, "doubts": doubts}
-        if (second := self._second_timing) is not None:
-            facts["second_timing"] = second.figures()
-            read_as += [f"second lidar: {line}" for line in second.corrections()]
-            doubts += [f"second lidar: {line.replace('lidar.mount', 'second_lidar.mount')}" for line in second.doubts()]
-        return facts
+        assert self._facts is not None
+        return self._facts.figures(self.report)
 
 
 @dataclass(slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from base64 import b64decode
 from dataclasses import replace
@@ -21,6 +22,7 @@ from drivers.recordings.mcap import McapWriter
 from drivers.simulation import Simulation
 from slam.errors import SlamError
 from slam.io.exports import write_pgm
+from slam.io.recording_timing import UNKNOWN_MOUNT
 from slam.io.tum import read_tum_poses
 
 ROOM = "sim:room?duration=10&seed=2&lidar=short"
@@ -112,6 +114,22 @@ def test_a_recording_without_odometry_is_mapped_without_it(tmp_path: Path) -> No
     assert len(mapped.walls) >= 4
     assert mapped.odometry.shape == (0, 3)
     assert mapped.truth is None
+    assert mapped.interpretations == ["no odometry in it; mapped by the scans alone"]
+
+
+def test_doubts_and_timing_are_those_of_wclm_run(wclm: Any, tmp_path: Path) -> None:
+    """The mount is unknown, so walls are not where they are: that must not be lost with the console of `wclm run`."""
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        for message in Simulation("room", seed=1, duration=4.0):
+            writer.write(replace(message, mount=None) if isinstance(message, Scan) else message)
+    mapped = slam.run(tmp_path / "drive.mcap")
+    assert mapped.doubts == [UNKNOWN_MOUNT]
+    assert UNKNOWN_MOUNT in mapped._repr_html_()
+    mapped.save(tmp_path / "saved")
+    assert wclm("run", "drive.mcap", "--out", "map", "--no-review").exit_code == 0
+    saved, written = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("saved", "map"))
+    for name in ("gaps", "timing", "interpretations", "doubts", "lidars"):
+        assert saved[name] == written[name]
 
 
 def test_a_wrong_name_is_one_line() -> None:

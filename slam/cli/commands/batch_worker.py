@@ -56,7 +56,7 @@ class _FingerprintedInput(RecordingInput):
     """
 
     def __init__(self, job: Job) -> None:
-        self._facts = {FINGERPRINT: fingerprint(job)}  # before reading: a change meanwhile is detected next time
+        self._fingerprint = fingerprint(job)  # before reading: a change meanwhile is detected next time
         source, reason = open_to_map(job.recording, job.options.config)
         super().__init__(source, reopen=job.recording)
         self.setup = RunSetup(job.options.config)
@@ -64,7 +64,7 @@ class _FingerprintedInput(RecordingInput):
             self.setup = without_odometry(self.setup, f"{source.name}: {reason}")
 
     def facts(self) -> dict[str, Any]:
-        return super().facts() | self._facts
+        return super().facts() | {FINGERPRINT: self._fingerprint}
 
 
 def _map(job: Job, log: TextIO) -> dict[str, Any]:

@@ -7,6 +7,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from drivers.immutable import immutable
+
 from ...config import Config
 from ...errors import MapError
 from ...formatting import counted
@@ -65,7 +67,8 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
             raise MapError(f"{path}: has manual corrections, which a refinement would drop; refine before correcting")
         with print_if_slow(READING_SESSION):
             session = read_session(path)
-        summary = _optimise(directory, str(path), session, results.summary, started, review=review, picture=picture)
+        mapped = _Mapped(str(path), session, results.config(), results.summary)
+        summary = _optimise(directory, mapped, started, review=review, picture=picture)
     write_report_page(out)
     return _lines(summary, out, review=review)
 
@@ -92,32 +95,41 @@ def optimize_recording(
         took = time.perf_counter() - started
         summary = summarise_run(
             run_input, finished, statistics, notices.texts, None, seed=None, times=RunTimes(busy, took)
-        )
+        ) | {"lidars": [mount.tolist() for mount in slam.lidar_mounts]}
         session = slam.session
         session.recordings.append(statistics.recording(run_input, slam.config))
         started = time.perf_counter()
-        summary = _optimise(directory, recording, session, summary, started, review=review, picture=picture)
+        mapped = _Mapped(recording, session, setup.config, summary)
+        summary = _optimise(directory, mapped, started, review=review, picture=picture)
     write_report_page(out)
     return _lines(summary, out, review=review)
 
 
-def _optimise(
-    directory: Path,
-    source: str,
-    session: StoredSession,
-    summary: dict[str, Any],
-    started: float,
-    *,
-    review: bool,
-    picture: bool,
-) -> dict[str, Any]:
-    """Refine a session into a directory; return the summary of the original run with the new figures.
+@immutable
+class _Mapped:
+    """A run that is to be refined.
 
-    Raises MapError that names `source`, where the session comes from.
+    source   where it comes from, for messages
+    session  its session
+    config   settings, without what the recording shows of the lidars
+    summary  its summary
+    """
+
+    source: str
+    session: StoredSession
+    config: Config
+    summary: dict[str, Any]
+
+
+def _optimise(directory: Path, mapped: _Mapped, started: float, *, review: bool, picture: bool) -> dict[str, Any]:
+    """Refine a run into a directory; return its summary with the new figures.
+
+    Raises MapError that names the source.
     """
     from ...io.sessions import write_session
     from ...offline.optimisation import optimise
 
+    session, summary = mapped.session, mapped.summary
     with ExitStack() as log:
         sinks: list[Sink] = []
         if review:
@@ -126,7 +138,7 @@ def _optimise(
         try:
             optimised = optimise(session, sinks)
         except MapError as error:
-            raise MapError(f"{source}: {error}") from error
+            raise MapError(f"{mapped.source}: {error}") from error
     finished = optimised.finished
     summary = summary | {
         "keyframes": len(finished.keyframes),
@@ -149,7 +161,7 @@ def _optimise(
         drives = split_drives(Trajectory(finished.stamps, finished.poses), summary["recordings"])
         title = f"{summary.get('recording', '')}, optimised"
         plot_map(directory / PICTURE, finished.walls, finished.corners, drives, title=title)
-    write_results(directory, finished, session.config, summary)
+    write_results(directory, finished, mapped.config, summary)
     write_session(directory, optimised.session)
     return summary
 

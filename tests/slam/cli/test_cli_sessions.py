@@ -14,9 +14,11 @@ from drivers import se2
 from drivers.messages import Odometry, Scan
 from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.simulation import LidarModel, Simulation
+from slam.config import Config
 from slam.graph.pose_graph import optimise, read_pose_graph
 from slam.io.map_json import read_map
 from slam.io.output_dir import MAP, REPORT, RESULTS, SESSION, SUMMARY, TRAJECTORY
+from slam.io.recording_timing import RecordingTiming
 from slam.io.recordings import open_recording
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
@@ -169,6 +171,17 @@ def test_optimize_maps_and_refines_a_recording(wclm: Any) -> None:
     assert result.exit_code == 0, result.output
     assert wclm("run", drive, "--continue", "room", "--out", "more", "--no-review").exit_code == 0
     wclm.refuses("optimize", "nowhere.txt", "--out", "x", because=["nowhere.txt"])
+
+
+def test_what_a_recording_shows_is_no_setting_of_its_refined_map(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after `wclm run`: the settings may be used for another robot, and scans are placed as they were."""
+    monkeypatch.setattr(RecordingTiming, "of", lambda *_: RecordingTiming(used_delay=0.01))
+    result = wclm("optimize", "sim:room?duration=5&lidar=short", "--out", "room", "--no-review")
+    assert result.exit_code == 0, result.output
+    results = read_run_results(Path("room"))
+    assert results.config() == Config()
+    assert results.config_as_used().lidar.delay == 0.01
+    assert results.summary["lidars"] == [list(Simulation("room").mount)]
 
 
 def test_optimize_refuses_options_that_would_have_no_effect(wclm: Any, session: Path, tmp_path: Path) -> None:
