@@ -168,9 +168,7 @@ class RecordingTiming:
         if self.used_heading is not None:
             lines.append(f"lidar turned by {self._turn()} on the robot, as no mount is stated; corrected")
         if self.earlier_mount is not None:
-            x, y, heading = self.earlier_mount
-            place = f"x {x:z.3f} m, y {y:z.3f} m, heading {math.degrees(heading):z.1f} degrees"
-            lines.append(f"lidar mounted at {place}, as in the session, as no mount is stated")
+            lines.append(mounted_as_in_session(self.earlier_mount))
         return lines
 
     def doubts(self) -> list[str]:
@@ -189,6 +187,13 @@ class RecordingTiming:
         assert self.mount_heading is not None
         found, sigma = (math.degrees(value) for value in (self.mount_heading.found, self.mount_heading.sigma))
         return f"{found:z.1f} ± {sigma:.1f} degrees"
+
+
+def mounted_as_in_session(mount: tuple[float, float, float]) -> str:
+    """Return where a lidar is mounted by the session that a run continues or localises in, as a line of text."""
+    x, y, heading = mount
+    place = f"x {x:z.3f} m, y {y:z.3f} m, heading {math.degrees(heading):z.1f} degrees"
+    return f"lidar mounted at {place}, as in the session, as no mount is stated"
 
 
 def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, RecordingTiming | None]:

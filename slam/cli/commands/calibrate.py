@@ -64,7 +64,8 @@ def calibrate(
     except MapError as error:
         raise MapError(f"{recording}: {error}") from error
     wheels = None if wheel_radius is None or track is None else (wheel_radius, track)
-    typer.echo("\n".join([*_estimates(result, timing), *_options(result, timing, wheels)]))
+    read_as = [f"read as   {text}" for text in source.report.interpretations]
+    typer.echo("\n".join([*_estimates(result, timing), *read_as, *_options(result, timing, wheels)]))
 
 
 def _estimates(result: Calibration, timing: RecordingTiming) -> list[str]:
@@ -98,7 +99,8 @@ def _options(result: Calibration, timing: RecordingTiming, wheels: tuple[float, 
     wheels  radius of both wheels and the track with which the odometry was recorded, metres, if they are known
     """
     mount = ",".join(f"{value:z.4f}" for value in result.mount)
-    lines = [f"wclm live: --lidar 'TYPE:PORT?mount={mount}'"]
+    live = [setting for setting in timing.settings() if not setting.startswith("lidar.mount")]
+    lines = [" ".join([f"wclm live: --lidar 'TYPE:PORT?mount={mount}'", *(f"--set {setting}" for setting in live)])]
     if wheels is not None:
         radius, track = wheels
         odometry = result.odometry

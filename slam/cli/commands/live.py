@@ -107,7 +107,7 @@ def live(
         open_page(web_address) if with_page else nullcontext() as page,
     ):
         controls, status_file = RunControls(server, page), None if status is None else StatusFile(status, out)
-        live_input = LiveInput(specs, record, duration, driving, controls, status_file)
+        live_input = LiveInput(specs, record, duration, driving, controls, status_file, setup.resumed)
         results = {"overwrite": overwrite, "review": review, "picture": plot, "refine": refine}
         result = run_slam(live_input, setup, out, **results, controls=controls)
         if status_file is not None:

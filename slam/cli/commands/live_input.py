@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from ...config import Config
     from ...events import Sink
+    from ...io.stored_session import StoredSession
     from ..message_pump import MessagePump
     from ..run_controls import RunControls
     from ..status_file import StatusFile
@@ -35,6 +36,7 @@ class LiveInput:
     driving    limits of driving; None: the robot is not driven
     controls   how people follow and steer the run; its page and its keys act on the devices, too
     status     file with the state of the run, if any
+    earlier    session that the run continues or localises in, if any: its lidar is probably the same
 
     failure  error that ended the messages early, if any; the messages before it are mapped
     """
@@ -47,6 +49,7 @@ class LiveInput:
         driving: DriveLimits | None,
         controls: RunControls,
         status: StatusFile | None = None,
+        earlier: StoredSession | None = None,
     ) -> None:
         from drivers.devices.acquisition import Acquisition
         from drivers.messages import SourceReport
@@ -71,6 +74,8 @@ class LiveInput:
         self._dashboard = LiveDashboard("" if driving is None else HELP)
         if driving is not None:
             controls.keys.add(Teleoperation(self._acquisition, driving).handle)
+        mount_stated = any("mount" in spec.options for spec in specs if spec.is_lidar)
+        self._earlier_mount = None if earlier is None or mount_stated else earlier.last_mount
         self._extrapolator = PoseExtrapolator()
         self._beam_times = STATED
         self.sinks: Sequence[Sink] = (self._dashboard, self._extrapolator, *([] if status is None else [status]))
@@ -102,11 +107,19 @@ class LiveInput:
         return absolute_recording(self._recorded["file"]) if self._recorded and not self._recorded["problem"] else None
 
     def resolve(self, config: Config) -> Config:
-        """Return the settings unchanged: devices state the times of their measurements, or the settings do."""
+        """Return the settings with the mount of the session if nothing else states it.
+
+        Devices or settings state the times of measurements.
+        """
         from drivers.timing.beam_times import STATED, set_beam_times
 
         self._extrapolator.delay = config.lidar.delay or 0.0
         self._beam_times = set_beam_times(config.lidar.beam_order, config.lidar.turn_period) or STATED
+        if self._earlier_mount is not None and config.lidar.mount is None:
+            from ...io.recording_timing import mounted_as_in_session
+
+            print_message(mounted_as_in_session(self._earlier_mount))
+            config = config.with_mount(self._earlier_mount)
         return config
 
     def facts(self) -> dict[str, Any]:

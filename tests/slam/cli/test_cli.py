@@ -16,9 +16,12 @@ import pytest
 
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation
+from drivers.timing.beam_times import BeamTimes
+from drivers.timing.mount_heading import MountHeading
 from slam.cli import viewer
 from slam.errors import MapError
 from slam.io.output_dir import CLOSURE_PICTURE, PICTURE, RESULTS, SESSION
+from slam.io.recording_timing import RecordingTiming
 from slam.io.tum import read_tum
 from slam.offline.calibration.extrinsics import Calibration, OdometryCorrection
 
@@ -426,6 +429,16 @@ def test_calibrate_refuses_wheels_without_a_size(wclm: Any, option: str, size: s
 @pytest.mark.parametrize("option", ["--wheel-radius", "--track"])
 def test_calibrate_needs_both_dimensions_of_the_wheels(wclm: Any, option: str) -> None:
     wclm.refuses("calibrate", "drive.mcap", option, "0.1", because=[option, "both or none are required"])
+
+
+def test_calibrate_prints_what_a_live_run_cannot_find(wclm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = Calibration(np.array([0.1, 0.0, 3.0]), OdometryCorrection(), np.full(6, 0.01), 9, 9.0, (0.0, 0.01))
+    timing = RecordingTiming(BeamTimes(reversed=True), used_delay=0.1, mount_heading=MountHeading(None, 3.0, 0.01, 20))
+    monkeypatch.setattr("slam.offline.calibration.extrinsics.calibrate", lambda messages, config: result)
+    monkeypatch.setattr(RecordingTiming, "of", lambda *_: timing)
+    printed = wclm("calibrate", "sim:room?duration=1")
+    live = "--lidar 'TYPE:PORT?mount=0.1000,0.0000,3.0000' --set lidar.beam_order=reversed --set lidar.delay=0.1000"
+    assert f"\nwclm live: {live}\n" in printed.stdout
 
 
 @pytest.mark.slow

@@ -196,6 +196,20 @@ def test_beams_of_devices_have_the_times_that_are_set(monkeypatch: pytest.Monkey
                 assert message is sent
 
 
+@pytest.mark.parametrize(("spec", "used"), [("", (0.1, 0.0, 3.0)), ("?mount=0.2,0,0", None)])
+def test_a_device_is_mounted_as_in_the_session_if_nothing_else_states_it(
+    capsys: pytest.CaptureFixture[str], spec: str, used: tuple[float, float, float] | None
+) -> None:
+    """A recording that shows that its lidar points backwards may be continued live."""
+    session = cast(StoredSession, SimpleNamespace(last_mount=(0.1, 0.0, 3.0)))
+    devices = parse_devices(f"rplidar:/dev/ttyUSB0{spec}")
+    live = LiveInput(devices, None, None, None, RunControls(), earlier=session)
+    assert live.resolve(Config()).mounts() == [used]
+    stated = Config(lidar=LidarConfig(mount=(0.0, 0.0, 1.0)))
+    assert live.resolve(stated) == stated
+    assert ("heading 171.9 degrees, as in the session" in capsys.readouterr().err) == (used is not None)
+
+
 def test_simulation_is_taken_as_it_is() -> None:
     assert RecordingInput(drivers.open("sim:room"), reopen="sim:room").resolve(Config()) == Config()
 
