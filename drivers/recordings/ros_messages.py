@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Any
 
@@ -12,6 +11,7 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from ..immutable import immutable
 from ..messages import MAX_SPAN, Floats, Odometry, Scan, YawRate
 from ..se2 import Pose, wrap
 from ..timestamps import NANOSECONDS, to_seconds
@@ -104,16 +104,45 @@ def _steps(start: float, step: float, count: int) -> Floats:
     return values
 
 
-@dataclass(frozen=True, slots=True)
+@immutable
 class LidarMount:
     """Mount of a lidar on the robot.
 
     pose         [x, y, heading] in the base's frame; None if unknown
     upside_down  true if the lidar's z axis points down
+    projection   (2, 2) of a tilted lidar, from directions in its plane to their horizontal parts in the frame of
+                 `pose`; None if the lidar is level
     """
 
     pose: Pose | None = None
     upside_down: bool = False
+    projection: Floats | None = None
+
+    @property
+    def tilt(self) -> float:
+        """Angle between the lidar's plane and a horizontal one, radians."""
+        return 0.0 if self.projection is None else math.acos(min(1.0, abs(float(np.linalg.det(self.projection)))))
+
+    def describe(self) -> list[str]:
+        """Return what is done with scans, as a lidar does not measure in a horizontal plane seen from above."""
+        lines = ["upside down by its transform: scans are mirrored"] if self.upside_down else []
+        if self.projection is not None:
+            tilt = f"tilted by {math.degrees(self.tilt):.1f} degrees by its transform"
+            lines.append(f"{tilt}: scans are projected onto a horizontal plane")
+        return lines
+
+    def seen_from_above(self, angles: Floats, ranges: Floats) -> tuple[Floats, Floats]:
+        """Return the directions (n,) and horizontal distances (n,) of returns, in the frame of `pose`.
+
+        A vertical wall is then where it is: a return at range r and angle a of a tilted lidar is at r P (cos a, sin a),
+        where P is the projection.
+        """
+        level = -angles if self.upside_down else angles
+        if self.projection is None:
+            return level, ranges
+        x, y = self.projection @ np.array([np.cos(angles), np.sin(angles)])
+        change = np.arctan2(y, x) - level  # from the level angle, which may be of any turn
+        return level + np.arctan2(np.sin(change), np.cos(change)), ranges * np.hypot(x, y)
 
 
 def ranges_of(message: Any) -> Floats:
@@ -144,7 +173,7 @@ def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1
     """Convert a LaserScan to a Scan; raises ValueError if it is invalid.
 
     Ranges outside of the stated limits become NaN. Angles increase: a scan that is measured clockwise, or by a lidar
-    that is mounted upside down, is reversed together with its time offsets.
+    that is mounted upside down, is reversed together with its time offsets. For a tilted lidar, see `LidarMount`.
 
     received   time of reception, nanoseconds; the stamp if the header has none
     per_metre  units of the ranges in a metre; the limits have the same unit if they are beyond any range in metres
@@ -163,9 +192,7 @@ def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1
     ranges = np.where(valid, ranges, np.nan)
     delay = message.time_increment
     offsets = _steps(0.0, delay if 0.0 < delay * count < 2.0 else 0.0, count)
-    angles = _steps(start, step, count)
-    if mount.upside_down:
-        angles = -angles
+    angles, ranges = mount.seen_from_above(_steps(start, step, count), ranges)
     strengths = intensities_of(message)
     if count > 1 and angles[1] < angles[0]:
         angles, ranges, offsets = angles[::-1].copy(), ranges[::-1].copy(), offsets[::-1].copy()

@@ -128,6 +128,8 @@ class RosReader(RecordingReader):
         if reason is not None:
             self.interpret(reason)
         shifts = self._shifts(scans, odometry, imu)
+        if scans in contents.counts.get(LASER_SCAN, Counter()):
+            self._interpret_mounts(contents, scans)
         converter = ScanConverter(contents, scans, self.cut, per_metre, contents.find_no_return(scans, per_metre))
         for stored in self._messages_to_read(final=True):
             try:
@@ -147,6 +149,12 @@ class RosReader(RecordingReader):
                     yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))
             except ValueError as error:
                 self.skip(stored.number, str(error))
+
+    def _interpret_mounts(self, contents: Contents, scans: str | None) -> None:
+        """Report the frames of scans that are not level and upright."""
+        for frame in dict.fromkeys(stream.frame for stream in contents.clocks.streams(scans)):
+            for text in contents.find_mount(frame).describe():
+                self.interpret(f"{frame} is {text}")
 
     def _yaw_rate(self, stored: StoredMessage, contents: Contents) -> YawRate:
         message = decode(stored.data, IMU, stored.encoding)

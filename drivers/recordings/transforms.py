@@ -17,6 +17,10 @@ BASE_FRAMES = ("base_link", "base_footprint", "base")
 MAX_TRANSLATION = 1e6
 """Metres; longer transforms are invalid."""
 
+MIN_LEVEL, MAX_LEVEL = math.cos(math.radians(60.0)), math.cos(math.radians(1.0))
+"""Cosines of the tilts between which scans are projected: less changes ranges by less than their noise, and a lidar
+that is tilted more does not measure along the floor."""
+
 
 def normalize_frame(frame: str) -> str:
     """Return a frame's name without the leading slash that ROS 1 allowed."""
@@ -111,7 +115,7 @@ class TransformTree:
         heading = float(np.arctan2(relative[1, 0], relative[0, 0]))
         mount = np.array([relative[0, 3], relative[1, 3], _without_pi(heading)])
         mount.flags.writeable = False
-        return LidarMount(mount, upside_down=bool(relative[2, 2] < 0.0))
+        return LidarMount(mount, bool(relative[2, 2] < 0.0), _projection(relative[:3, :3], heading))
 
     def _from_root(self, frame: str) -> tuple[str, Floats]:
         """Return the root of a frame's tree, and the frame's pose in the root, a (4, 4) matrix."""
@@ -122,6 +126,14 @@ class TransformTree:
             link = self._parents[frame]
             frame, pose = link.parent, link.matrix @ pose
         return frame, pose
+
+
+def _projection(rotation: Floats, heading: float) -> Floats | None:
+    """Return the projection of a lidar with a rotation (3, 3) on the base, see `LidarMount`; None if it is level."""
+    if not MIN_LEVEL < abs(rotation[2, 2]) < MAX_LEVEL:
+        return None
+    c, s = math.cos(heading), math.sin(heading)
+    return np.asarray(np.array([[c, s], [-s, c]]) @ rotation[:2, :2])
 
 
 def _matrix(transform: Any) -> Floats:

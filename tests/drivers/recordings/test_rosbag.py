@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import drivers
@@ -142,6 +143,37 @@ def test_scan_of_an_upside_down_lidar_is_reversed(read: Read) -> None:
     assert scan.mount == pytest.approx([0.2, 0.1, 0.0])
     assert scan.angles == pytest.approx([-1.5, -1, -0.5, 0, 0.5])
     assert scan.ranges.tolist() == [5, 4, 3, 2, 1]
+
+
+@pytest.mark.parametrize(("roll", "pitch"), [(0.0, 20.0), (-15.0, 10.0), (170.0, 5.0)])
+def test_walls_are_straight_and_in_place_for_a_tilted_lidar(read: Read, roll: float, pitch: float) -> None:
+    """A vertical wall two metres ahead, measured in a plane that is not horizontal."""
+    rotation = Rotation.from_euler("xyz", [roll, pitch, 30.0], degrees=True)
+    angles = np.arange(-170, 171, 10) * math.pi / 180.0
+    ahead = rotation.apply(np.column_stack([np.cos(angles), np.sin(angles), np.zeros_like(angles)]))[:, 0]
+    ranges = np.where(ahead > 0.2, 2.0 / np.maximum(ahead, 0.2), 0.0)
+    entries = [
+        transform("base_link", "laser", (0.1, 0.0, 0.0), tuple(rotation.as_quat())),
+        laser_scan(1, ranges.tolist(), angle_min=float(angles[0]), angle_increment=math.radians(10.0)),
+    ]
+    scan = only_scan(read(entries))
+    assert scan.mount is not None
+    assert np.all(np.diff(scan.angles) > 0.0)
+    seen = np.isfinite(scan.ranges)
+    assert seen.sum() > 8
+    directions = scan.angles[seen] + scan.mount[2]
+    np.testing.assert_allclose(scan.ranges[seen] * np.cos(directions), 2.0, atol=1e-5)
+
+
+def test_a_lidar_that_is_not_level_is_named(tmp_path: Path, write_bag: WriteBag) -> None:
+    rolled = tuple(Rotation.from_euler("xyz", [190.0, 0.0, 0.0], degrees=True).as_quat())
+    entries = [transform("base_link", "laser", (0.1, 0.0, 0.0), rolled), laser_scan(1, [1.0, 2.0])]
+    recording = drivers.open(write_bag(tmp_path / "a.bag", entries))
+    only_scan(list(recording))
+    assert recording.report.interpretations == [
+        "laser is upside down by its transform: scans are mirrored",
+        "laser is tilted by 10.0 degrees by its transform: scans are projected onto a horizontal plane",
+    ]
 
 
 def test_mount_from_repeated_transforms(read: Read) -> None:
