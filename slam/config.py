@@ -210,6 +210,13 @@ class Config(Settings):
         """Return these settings with a mount of the first lidar."""
         return self.model_copy(update={"lidar": self.lidar.model_copy(update={"mount": mount})})
 
+    def with_two_lidars(self, first: str, second: str) -> Config:
+        """Return these settings with two lidars, whose scans have these topics in recordings."""
+        lidars = {"lidar": (self.lidar, first), "second_lidar": (self.second_lidar, second)}
+        return self.model_copy(
+            update={name: one.model_copy(update={"topic": topic}) for name, (one, topic) in lidars.items()}
+        )
+
     def without_mounts(self) -> Config:
         """Return these settings for scans that state their mounts."""
         lidars = {"lidar": self.lidar, "second_lidar": self.second_lidar}

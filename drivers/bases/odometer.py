@@ -16,13 +16,20 @@ MAX_SPEED_RATIO = 1.5
 STAMP_TOLERANCE = 0.05
 """Seconds by which the interval of two stamps may be shorter than that of the readings."""
 
+BOOT_TIME = 0.3
+"""Seconds without readings from which on a base may have restarted: boards start again in half a second to three."""
+MIN_RESTART_TRAVEL = 0.1
+"""Metres from zero from which counts near zero after such a pause show a restart."""
+NEAR_ZERO = 0.1
+"""Share of that travel up to which counts are near zero: the robot may have driven since the restart."""
+
 
 @dataclass(slots=True)
 class OdometerCounters:
     """Counters of the odometer.
 
     readings    accepted readings
-    resets      restarts of the counts at other values, as after a restart of the base
+    resets      restarts of the counts, at zero or at other values, as after a restart of the base
     jumps       single readings that no wheel can have reached; omitted, the next reading covers their motion
     gaps        pauses in which the encoders may have wrapped
     gyro_jumps  headings that the base cannot have reached; the wheels' turn was used instead
@@ -64,6 +71,9 @@ class Odometer:
             return None
         if self._may_have_wrapped(stamp - self._last[1]):
             self.counters.gaps += 1
+            return self._restart(reading, stamp)
+        if self._counts_from_zero(reading, stamp):
+            self.counters.resets += 1
             return self._restart(reading, stamp)
         if self._is_possible(self._last, reading, stamp):
             self._drop_suspect()
@@ -116,6 +126,16 @@ class Odometer:
     def _may_have_wrapped(self, duration: float) -> bool:
         finest = min(abs(self.wheels.left), abs(self.wheels.right))
         return self._max_travel(duration) >= finest * (1 << (self.wheels.bits - 1))
+
+    def _counts_from_zero(self, reading: WheelReading, stamp: float) -> bool:
+        """Return True if a base that was silent has restarted, and counts from zero again.
+
+        Early in a drive the speed does not exclude that the robot has driven back to its start meanwhile.
+        """
+        assert self._last is not None
+        zero = WheelReading(0, 0)
+        before, now = (max(map(abs, self._travel(zero, one))) for one in (self._last[0], reading))
+        return stamp - self._last[1] >= BOOT_TIME and before >= MIN_RESTART_TRAVEL and now <= NEAR_ZERO * before
 
     def _is_possible(self, last: tuple[WheelReading, float], reading: WheelReading, stamp: float) -> bool:
         left, right = self._travel(last[0], reading)

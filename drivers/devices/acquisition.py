@@ -67,6 +67,7 @@ class Acquisition:
     _process: multiprocessing.process.BaseProcess | None = None
     _pipe: Connection | None = None
     _ended: bool = False
+    _paused: bool = False
     _startup_messages: deque[Message] = field(default_factory=deque)  # received before all devices ran
     _sending: RLock = field(default_factory=RLock)  # a handler of a signal may stop what the same thread sends
 
@@ -76,6 +77,8 @@ class Acquisition:
         context = multiprocessing.get_context("spawn")
         job = Job(tuple(self.specs), self.recording, self.deliver, self.driving, self.in_order)
         self._pipe, child_end = context.Pipe()
+        if self._paused:
+            self._send(PauseScans(True))
         self._process = context.Process(
             target=acquire,
             args=(child_end, job, wall_clock_offset()),
@@ -139,7 +142,11 @@ class Acquisition:
         self._send(DriveCommand(Velocity(speed, turn_rate), time.monotonic()))
 
     def pause(self, paused: bool) -> None:
-        """Leave out all scans from now on, also in the recording, or use them again. May be called from any thread."""
+        """Leave out all scans from now on, also in the recording, or use them again.
+
+        May be called from any thread, also before the devices are started.
+        """
+        self._paused = paused
         self._send(PauseScans(paused))
 
     def stop(self) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from ..errors import DriverError
 from ..messages import Message, SourceReport
 from .acquisition import Acquisition
-from .device_spec import DeviceSpec
+from .device_spec import DeviceSpec, check_robot
 from .snapshot import Snapshot
 
 
@@ -16,11 +16,12 @@ class DeviceSource:
 
     snapshot  status of the devices
 
-    Lost messages are counted in the report as skipped. Raises DriverError if a device cannot be started, or on a second
-    iteration.
+    Lost messages are counted in the report as skipped. Raises SpecError if the devices cannot be those of one robot,
+    and DriverError if a device cannot be started, or on a second iteration.
     """
 
     def __init__(self, specs: Sequence[DeviceSpec]) -> None:
+        check_robot(specs)
         self.name = " + ".join(spec.text for spec in specs)
         self.report = SourceReport()
         self._acquisition = Acquisition(specs)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 from urllib.parse import unquote
@@ -199,6 +199,16 @@ def parse_devices(text: str) -> list[DeviceSpec]:
         if addresses.count(address) > 1:
             raise SpecError(f"{text}: {address} is used twice")
     return specs
+
+
+def check_robot(specs: Sequence[DeviceSpec]) -> None:
+    """Raise SpecError if devices cannot be those of one robot, which has up to two lidars and one wheel base."""
+    for kind, most, devices in (
+        ("lidars", 2, [spec.text for spec in specs if spec.is_lidar]),
+        ("wheel bases", 1, [spec.text for spec in specs if not spec.is_lidar]),
+    ):
+        if len(devices) > most:
+            raise SpecError(f"{' + '.join(devices)}: {len(devices)} {kind} are given, and at most {most} can be used")
 
 
 def parse_device(text: str) -> DeviceSpec:

@@ -7,7 +7,7 @@ import sys
 import time
 import traceback
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -76,6 +76,8 @@ class _DeviceReader:
         self._early = EarlyDelivery(self._outbox.put) if job.deliver and not job.in_order else None
         self._buffer = ReorderBuffer(len(specs), offset, early=self._early)
         self._paused = False
+        lidars = [device for device, spec in enumerate(specs) if spec.is_lidar]
+        self._lidar_numbers = {device: number for number, device in enumerate(lidars)}
         self._driver = None if job.driving is None else BaseDriver(job.driving)
         self._supervisors = [
             Supervisor(
@@ -136,7 +138,9 @@ class _DeviceReader:
         return False
 
     def _put(self, device: int, messages: list[Message]) -> None:
-        """Take messages of a device, in its thread."""
+        """Take messages of a device, in its thread; scans get the number of their lidar."""
+        if number := self._lidar_numbers.get(device):
+            messages = [replace(message, lidar=number) if isinstance(message, Scan) else message for message in messages]
         if self._paused and any(isinstance(message, Scan) for message in messages):
             self._buffer.skip(device, messages)
             return

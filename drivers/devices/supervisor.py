@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from threading import Event, Lock
 
-from ..errors import DriverError, EndOfCaptureError, NoResponseError
+from ..errors import DriverError, EndOfCaptureError, NoResponseError, RecordingError, SlamError
 from ..messages import Message, end_stamp
 from ..transport import Transport
 from .device import PROMPT_READ_PAUSE, READ_PAUSE, Device
@@ -101,7 +101,7 @@ class Supervisor:
     prompt           True if messages are needed promptly, for which the port is read more often
 
     failure  error of the first start, if it failed: the requested device is not there. A device that has run once is
-             searched until it is back
+             searched until it is back. Or the error of a byte capture
     """
 
     def __init__(
@@ -114,7 +114,7 @@ class Supervisor:
     ) -> None:
         self.spec = spec
         self._other_addresses = other_addresses
-        self.failure: DriverError | None = None
+        self.failure: SlamError | None = None
         self.state = DeviceState.CONNECTING
         self._put = put
         self._device: Device = make_device(spec, driver)
@@ -136,6 +136,9 @@ class Supervisor:
                 self.state = DeviceState.LOST if self._has_run else DeviceState.CONNECTING
                 self._run_connected(self._find_device(stop), stop)
             except EndOfCaptureError:
+                break
+            except RecordingError as error:  # of a capture that is played: it cannot be read any further
+                self.failure = error
                 break
             except DriverError as error:
                 if stop.is_set():
@@ -218,10 +221,12 @@ class Supervisor:
             device, started = self._device, time.monotonic()
             self._read_until = started
             self.state = DeviceState.STARTING
-            measurement_count, last_data, before = device.measurement_count, None, started
+            measurement_count, last_data = device.measurement_count, None
+            before: float | None = None  # time of the last read; a capture has the clock of another computer
             while not stop.is_set():
                 received, messages = device.step(transport)
-                self._check_read_gap(transport, received.time - before)
+                if before is not None:
+                    self._check_read_gap(transport, received.time - before)
                 before = received.time
                 self._counts["bytes_read"] += len(received.data)
                 if device.measurement_count != measurement_count:

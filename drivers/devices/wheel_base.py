@@ -114,6 +114,7 @@ class WheelBaseDevice(Device):
         self._requested_at: float
         self._last_reading: float  # time of the last reading of this connection
         self._woken: bool  # on this connection
+        self._unanswered: int  # polls of this connection
         self.dtr = options.get("dtr", self._kind.dtr)
         self.bauds = (options.get("baud", self._protocol.baud),)
         self._reset_protocol(self.bauds[0])
@@ -184,6 +185,7 @@ class WheelBaseDevice(Device):
         self._requested_at = time.monotonic()
         self._last_reading = -inf
         self._woken = False
+        self._unanswered = 0
 
     def _wake(self, transport: Transport) -> None:
         """Wake the base, once on each connection. USB cables for Create 2 connect RTS with its wake-up pin, BRC."""
@@ -196,18 +198,29 @@ class WheelBaseDevice(Device):
             transport.write(self._driver.output(self._protocol, time.monotonic(), self._last_reading))
 
     def _poll(self, transport: Transport, period: float) -> tuple[Received, list[Message]]:
-        """Poll one reading, stamped in the middle between request and response, and pause until the next one is due."""
+        """Poll one reading, stamped in the middle between request and response, and pause until the next one is due.
+
+        A response that comes after POLL_TIMEOUT must not be taken for that to the next poll: all later ones would have
+        the time of the poll after theirs. So a reading counts only if no poll is unanswered. If a response is lost, the
+        next poll waits for one more in vain: then none is on its way.
+        """
         requested_at = time.monotonic()
         transport.write(self._protocol.poll())
+        self._unanswered += 1
         messages: list[Message] = []
+        answers = 0
         while True:
             received = transport.read(READ_TIMEOUT)
             readings = self._protocol.feed(received.data)
-            if readings:
+            answers += len(readings)
+            if readings and answers >= self._unanswered:
+                self._unanswered = 0
                 message = self._odometer.add(readings[-1], (requested_at + received.time) / 2)
                 messages = [message] if message else []
                 self._last_reading = received.time
-            if readings or received.time > requested_at + POLL_TIMEOUT:
+                break
+            if received.time > requested_at + POLL_TIMEOUT:
+                self._unanswered = 0 if answers else 1
                 break
         self._drive(transport)
         time.sleep(max(0.0, requested_at + period - time.monotonic()))

@@ -60,16 +60,18 @@ def parse_device_options(lidar: list[str] | None, base: list[str] | None) -> lis
 
     Raises SpecError, or BadParameter if no device is given or one is given under the wrong option.
     """
-    from drivers.devices.device_spec import parse_devices
+    from drivers.devices.device_spec import check_robot, parse_devices
 
     texts = [*(lidar or ()), *(base or ())]
     if not texts:
         raise typer.BadParameter("at least one device is required", param_hint="--lidar / --base")
+    for option, is_lidar, given in (("--lidar", True, lidar), ("--base", False, base)):
+        for spec in parse_devices(" + ".join(given)) if given else ():
+            if spec.is_lidar != is_lidar:
+                name, other = ("lidar", "--lidar") if spec.is_lidar else ("wheel base", "--base")
+                raise typer.BadParameter(f"{spec.text} is a {name}, for {other}", param_hint=option)
     specs = parse_devices(" + ".join(texts))
-    for spec in specs:
-        if spec.is_lidar != (spec.text in [text.strip() for text in lidar or ()]):
-            hint = "--base" if spec.is_lidar else "--lidar"
-            raise typer.BadParameter(f"{spec.text} is a {'lidar' if spec.is_lidar else 'base'}", param_hint=hint)
+    check_robot(specs)
     return specs
 
 
@@ -84,8 +86,10 @@ def check_recording_file(file: Path, overwrite: bool, option: str) -> None:
 
     if file.suffix != ".mcap":
         raise typer.BadParameter(f"{file}: the name must end with .mcap", param_hint=option)
+    if not file.parent.is_dir():
+        raise RecordingError(file, None, "cannot be written: its directory does not exist")
     if file.exists() and not overwrite:
         raise RecordingError(file, None, "exists already; choose another name or add --overwrite")
-    if file.parent.is_dir() and (free := free_space(file.parent)) < MIN_FREE_SPACE:
+    if (free := free_space(file.parent)) < MIN_FREE_SPACE:
         reason = f"{free / 1e6:.0f} MB are free there, and at least {MIN_FREE_SPACE / 1e6:.0f} MB are needed"
         raise RecordingError(file, None, reason)

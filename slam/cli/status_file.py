@@ -38,6 +38,8 @@ class StatusFile:
     handled = (ScanTracked, KeyframeAdded, StateChanged, ModeChanged, LoopDecided, Notice)
 
     def __init__(self, path: Path, out: Path) -> None:
+        if path.is_dir():
+            raise OutputError(f"{path}: is a directory, and the file with the status must be named")
         self._path, self._out = path, out.resolve()
         self._started, self._written, self._problem = time.time(), float("-inf"), ""
         self._values: dict[str, Any] = {

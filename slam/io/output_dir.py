@@ -16,7 +16,7 @@ from types import TracebackType
 from ..errors import MapError, OutputError
 from .atomic_swap import exchange_directories, sync_directory, sync_file
 from .disk_reserve import MIN_RESERVE, directory_size, free_space
-from .work_directory import RunAnnouncement, WorkDirectory
+from .work_directory import RunAnnouncement, WorkDirectory, is_being_written
 
 TRAJECTORY = "trajectory.tum"
 MAP = "map.json"
@@ -92,6 +92,8 @@ class OutputDirectory:
 
     def __enter__(self) -> Path:
         self.check()
+        if is_being_written(self._target):
+            raise OutputError(f"{self.path}: another run is writing it; choose another directory")
         try:
             self._target.parent.mkdir(parents=True, exist_ok=True)
             self._work = WorkDirectory(self._target)
@@ -126,6 +128,8 @@ class OutputDirectory:
             return
         if not self._target.is_dir():
             raise OutputError(f"{self.path}: is a file, not a directory")
+        if self._target.samefile(os.curdir):
+            raise OutputError(f"{self.path}: is the current directory, which cannot be replaced; name another one")
         try:
             present = sorted(entry.name for entry in self._target.iterdir())
         except OSError as error:

@@ -97,6 +97,11 @@ def left_behind(target: Path) -> list[Path]:
     return [entry for entry in _work_directories(target) if not _is_locked(entry)]
 
 
+def is_being_written(target: Path) -> bool:
+    """Return True if a run is writing the output directory `target`."""
+    return any(_is_locked(entry) for entry in _work_directories(target))
+
+
 def running_process(target: Path) -> RunAnnouncement | None:
     """Return what the process that writes to `target` announced; None if none runs that saves on SIGUSR1."""
     for entry in _work_directories(target):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import typer
@@ -46,6 +47,8 @@ from .live_options import (
 )
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from drivers.devices.device_spec import DeviceSpec
     from drivers.devices.driving import DriveLimits
 
@@ -85,6 +88,9 @@ def live(
 
     Example: [bold]wclm live --lidar rplidar:/dev/ttyUSB0 --base create2:/dev/ttyUSB1 --out map --record map.mcap[/bold]
     """
+    from drivers.recordings.mcap import SCAN_TOPICS
+
+    from ...errors import MapError
     from ..plan_input import PlanOptions
     from ..run_controls import RunControls
     from ..run_setup import prepare_run, without_odometry
@@ -100,6 +106,11 @@ def live(
     specs, driving = _devices(lidar, base, drive, max_speed, max_turn_rate, with_page=with_page)
     if record is not None:
         check_recording_file(record, overwrite, "--record")
+        _refuse_in_results(record, out, "--record")
+    if status is not None:
+        _refuse_in_results(status, out, "--status")
+    if sum(spec.is_lidar for spec in specs) > 1:
+        setup = replace(setup, config=setup.config.with_two_lidars(*SCAN_TOPICS))
     if no_odometry or not base:
         setup = without_odometry(setup, "--no-odometry" if no_odometry else "no --base")
     with (
@@ -109,12 +120,23 @@ def live(
         controls, status_file = RunControls(server, page), None if status is None else StatusFile(status, out)
         live_input = LiveInput(specs, record, duration, driving, controls, status_file, setup.resumed)
         results = {"overwrite": overwrite, "review": review, "picture": plot, "refine": refine}
-        result = run_slam(live_input, setup, out, **results, controls=controls)
+        try:
+            result = run_slam(live_input, setup, out, **results, controls=controls)
+        except MapError as error:  # the devices have ended before anything could be mapped
+            if live_input.failure is None:
+                raise
+            raise live_input.failure from error
         if status_file is not None:
             status_file.finish()
     typer.echo("\n".join(format_summary(result, out)))
     if live_input.failure is not None:
         raise live_input.failure
+
+
+def _refuse_in_results(file: Path, out: Path, option: str) -> None:
+    """Raise BadParameter if a file, which an option names, would be in the output directory, which is replaced."""
+    if out.resolve() in file.resolve().parents:
+        raise typer.BadParameter(f"{file}: must not be in the output directory {out}", param_hint=option)
 
 
 def _devices(

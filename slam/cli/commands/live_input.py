@@ -77,7 +77,7 @@ class LiveInput:
         mount_stated = any("mount" in spec.options for spec in specs if spec.is_lidar)
         self._earlier_mount = None if earlier is None or mount_stated else earlier.last_mount
         self._extrapolator = PoseExtrapolator()
-        self._beam_times = STATED
+        self._beam_times = [STATED, STATED]  # of each lidar
         self.sinks: Sequence[Sink] = (self._dashboard, self._extrapolator, *([] if status is None else [status]))
 
     @contextmanager
@@ -114,7 +114,10 @@ class LiveInput:
         from drivers.timing.beam_times import STATED, set_beam_times
 
         self._extrapolator.delay = config.lidar.delay or 0.0
-        self._beam_times = set_beam_times(config.lidar.beam_order, config.lidar.turn_period) or STATED
+        self._beam_times = [
+            set_beam_times(lidar.beam_order, lidar.turn_period) or STATED
+            for lidar in (config.lidar, config.second_lidar)
+        ]
         if self._earlier_mount is not None and config.lidar.mount is None:
             from ...io.recording_timing import mounted_as_in_session
 
@@ -170,7 +173,7 @@ class LiveInput:
             try:
                 for message in receive_messages(pump, self._duration, after_each):
                     self.report.messages += 1
-                    yield self._beam_times.of(message) if isinstance(message, Scan) else message
+                    yield self._beam_times[message.lidar].of(message) if isinstance(message, Scan) else message
             except DriverError as error:
                 self.failure = error
             self._check_recording(self._acquisition.snapshot)

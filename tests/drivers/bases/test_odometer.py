@@ -61,6 +61,35 @@ def test_counts_wrap_backwards() -> None:
     assert odometer.pose[0] == pytest.approx(-7 * CREATE2.left, rel=1e-4)
 
 
+@pytest.mark.parametrize(("heading", "pause"), [(None, 1.5), (0.5, 3.0)])
+def test_a_base_that_restarts_early_in_a_drive_has_not_driven_back(heading: float | None, pause: float) -> None:
+    """In the time that a board takes to start, the robot could have returned: by the speed, both are possible."""
+    odometer = Odometer(DifferentialDrive(left=2e-4, right=2e-4, track=0.3, bits=32, top_speed=1.5))
+    for i in range(300):
+        odometer.add(WheelReading(16 * i, 24 * i, heading=None if heading is None else heading * i / 300), i * PERIOD)
+    before = odometer.pose.copy()
+    uncertain = np.trace(odometer.covariance)
+    for i in range(3):
+        odometer.add(WheelReading(2 * i, 2 * i, heading=None if heading is None else 0.0), 300 * PERIOD + pause + i)
+    assert odometer.counters.resets == 1
+    assert np.hypot(*(odometer.pose - before)[:2]) == pytest.approx(4 * 2e-4)
+    assert odometer.pose[2] == pytest.approx(before[2])
+    assert np.trace(odometer.covariance) > uncertain
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "pause"), [(5000, 5000, 2.0), (5000, 1000, 2.0), (300, 0, 2.0), (1000, 20, 0.2)]
+)
+def test_a_robot_may_stand_or_drive_back_while_its_base_is_silent(before: int, after: int, pause: float) -> None:
+    """Not to zero, or not far, or in less time than a base needs to start."""
+    odometer = Odometer(DifferentialDrive(left=2e-4, right=2e-4, track=0.3, bits=32, top_speed=1.5))
+    odometer.add(WheelReading(0, 0), 0.0)
+    odometer.add(WheelReading(before, before), 1.0)
+    odometer.add(WheelReading(after, after), 1.0 + pause)
+    assert odometer.pose[0] == pytest.approx(2e-4 * after)
+    assert odometer.counters.resets == 0
+
+
 @settings(max_examples=40, deadline=None)
 @given(at=st.integers(1, 57))
 def test_reset_loses_the_travel_between_two_readings_and_is_counted(at: int) -> None:

@@ -27,6 +27,8 @@ from drivers.devices.snapshot import Snapshot
 from drivers.devices.supervisor import DeviceState
 from drivers.realtime import realtime_priority
 
+from .device_peers import Ld06Peer, plugged
+
 RATE, TURNS = 9200.0, 9.7
 METRES_PER_READING = 10 * 0.444565e-3
 BASE_PERIOD = 0.015
@@ -93,6 +95,30 @@ def test_messages_of_both_devices_are_complete_and_in_order(peer: Any) -> None:
     assert source.report.skipped == 0
     with pytest.raises(DriverError, match="only once"):
         next(iter(source))
+
+
+def test_scans_have_the_number_of_their_lidar() -> None:
+    with plugged(Ld06Peer()) as one, plugged(Ld06Peer()) as other:
+        source = drivers.open(f"ld06:{one}?mount=0.1,0,0 + ld06:{other}?mount=-0.1,0,0")
+        places = set()
+        for message in source:
+            assert isinstance(message, Scan)
+            assert message.mount is not None
+            places.add((message.lidar, float(message.mount[0])))
+            if len(places) == 2:
+                source.stop()
+    assert places == {(0, 0.1), (1, -0.1)}
+
+
+def test_scans_are_left_out_from_the_beginning_if_paused_before() -> None:
+    """A button of the page may be pressed before the devices are open."""
+    with plugged(Ld06Peer()) as path:
+        acquisition = Acquisition(parse_devices(f"ld06:{path}"))
+        acquisition.pause(True)
+        with acquisition:
+            assert receive_for(acquisition, 1.0) == []
+            acquisition.pause(False)
+            assert receive_for(acquisition, 2.0)
 
 
 @pytest.mark.slow

@@ -74,6 +74,19 @@ def test_errors_of_specs_state_what_is_allowed(text: str, because: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("devices", "because"),
+    [
+        ("create2:/dev/a + kobuki:/dev/b", "2 wheel bases are given, and at most 1 can be used"),
+        ("ld06:/dev/a + ld06:/dev/b + rplidar:/dev/c", "3 lidars are given, and at most 2"),
+    ],
+)
+def test_a_robot_has_two_lidars_and_one_base_at_most(devices: str, because: str) -> None:
+    """The odometry of two bases would be mixed."""
+    with pytest.raises(SpecError, match=because):
+        drivers.open(devices)
+
+
 @settings(deadline=None)
 @given(st.text(max_size=40), st.sampled_from(["", "ld06:", "rplidar:/dev/a?", "wheels:/dev/a?ticks="]))
 def test_any_text_gives_devices_or_one_error(text: str, beginning: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import socket
 import threading
 import time
@@ -15,12 +16,14 @@ import pytest
 
 from drivers import Message, Odometry, Scan
 from drivers.bases import Velocity
+from drivers.bases.arduino_bridge import ArduinoBridgeDevice
+from drivers.bases.interface import Poll
 from drivers.devices import ports
 from drivers.devices import supervisor as supervisor_module
 from drivers.devices.device_spec import parse_device
 from drivers.devices.probing import probe
 from drivers.devices.supervisor import DeviceState, Supervisor
-from drivers.devices.wheel_base import WAKE_PULSE
+from drivers.devices.wheel_base import POLL_TIMEOUT, WAKE_PULSE
 from drivers.errors import DriverError
 from drivers.lidars.rplidar.requests import Command
 from drivers.transport import SerialPort
@@ -349,6 +352,63 @@ def test_the_supervisor_ends_with_the_byte_capture(tmp_path: Path) -> None:
     assert supervisor.failure is None
     assert supervisor.state is DeviceState.ENDED
     assert len(messages) >= 2  # the last scan may be incomplete
+
+
+def test_a_byte_capture_of_another_computer_is_played(tmp_path: Path) -> None:
+    """Its steady clock has been running for longer."""
+    capture, other = tmp_path / "ld06.tape", tmp_path / "other.tape"
+    with plugged(Ld06Peer()) as path:
+        run_supervisor(f"ld06:{path}?tape={capture}", 3)
+    other.write_text(re.sub(r"(?m)^(\d+)\.", r"9\1.", capture.read_text()))
+    supervisor, messages = run_supervisor(f"ld06:tape:{other}", until=lambda *_: False)
+    assert supervisor.failure is None
+    assert len(messages) >= 2
+
+
+@pytest.mark.parametrize("damage", ["missing", "wrong line"])
+def test_a_byte_capture_that_cannot_be_played_is_one_line(tmp_path: Path, damage: str) -> None:
+    capture = tmp_path / "ld06.tape"
+    if damage == "wrong line":
+        with plugged(Ld06Peer()) as path:
+            run_supervisor(f"ld06:{path}?tape={capture}", 5)
+        lines = capture.read_text().splitlines()
+        capture.write_text("\n".join([*lines[: len(lines) // 2], "8137.2 = a5", *lines[len(lines) // 2 :]]))
+    supervisor, _ = run_supervisor(f"ld06:tape:{capture}", until=lambda *_: False)
+    assert supervisor.state is DeviceState.ENDED
+    assert str(supervisor.failure).startswith(str(capture))
+
+
+class LateBridge(BasePeer):
+    """An arduino bridge that answers its 30th poll late, or not at all, and each poll with the counts at that time."""
+
+    def __init__(self, delay: float) -> None:
+        super().__init__(ArduinoBridgeDevice(DRIVE), polled=True)
+        self.delay, self.polls, self.waiting = delay, 0, list[tuple[float, bytes]]()
+        self.free_at = 0.0  # time from which it answers the next poll
+
+    def __call__(self, received: bytes) -> bytes:
+        now = time.monotonic()
+        for request in self.device.feed(received):
+            if isinstance(request, Poll):
+                self.polls += 1
+                due = now + self.delay if self.polls == 30 else max(now, self.free_at)
+                self.free_at = due + 0.01 if math.isfinite(due) else now
+                self.waiting.append((due, self.encode_reading(now - self.begun)))
+        sent = b"".join(data for due, data in self.waiting if due <= now)
+        self.waiting = [(due, data) for due, data in self.waiting if due > now]
+        return sent
+
+
+@pytest.mark.parametrize("delay", [1.5 * POLL_TIMEOUT, math.inf])
+def test_a_late_response_of_a_polled_base_is_not_taken_for_the_next_one(delay: float) -> None:
+    """Else all later readings would have the stamp of the poll after theirs."""
+    peer = LateBridge(delay)
+    with plugged(peer) as path:
+        _, messages = run_supervisor(f"arduino:{path}?{WHEELS}", 70)
+    odometry = [message for message in messages if isinstance(message, Odometry)]
+    speed = 10 * DRIVE.left / peer.period
+    lags = np.array([message.stamp - message.pose[0] / speed for message in odometry])
+    assert abs(np.median(lags[-20:]) - np.median(lags[:20])) < 0.5 * peer.period
 
 
 def test_a_byte_capture_continues_over_a_new_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -283,6 +283,15 @@ def test_invalid_arguments_are_refused_before_devices_start(wclm: Any, tmp_path:
     assert not list(tmp_path.iterdir())
     (tmp_path / "a.mcap").write_text("precious")
     wclm.refuses(*run, "--record", "a.mcap", because=["a.mcap: exists already"])
+    wclm.refuses(*run, "--record", "none/a.mcap", because=["none/a.mcap: cannot be written: its directory does not"])
+    (tmp_path / "map").mkdir()
+    for option, file in (("--record", "map/a.mcap"), ("--status", "map/s.json")):
+        wclm.refuses(*run, option, file, because=[option, f"{file}: must not be in the output directory map"])
+    wclm.refuses(*run, "--status", "map", "--out", "other", because=["map: is a directory"])
+    (tmp_path / "map").rmdir()
+    wclm.refuses(*run, "--base", "create2:/dev/full", because=["2 wheel bases are given"])
+    swapped = ("live", "--lidar", "ld06:/dev/nothing + kobuki:/dev/void", "--out", "map")
+    wclm.refuses(*swapped, because=["--lidar: kobuki:/dev/void is a wheel base, for --base"])
     wclm.refuses(*run, "--address", "192.0.2.1", because=["192.0.2.1: viewers cannot be served"])
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -42,6 +42,26 @@ def test_directory_appears_when_all_results_are_written(tmp_path: Path, finished
     assert json.loads((out / SUMMARY).read_text()) == {"scans": 3}
 
 
+def test_a_directory_that_another_run_is_writing_is_refused(tmp_path: Path) -> None:
+    """Only one of both could be saved."""
+    with (
+        OutputDirectory(tmp_path / "out"),
+        pytest.raises(OutputError, match="out: another run is writing it"),
+        OutputDirectory(tmp_path / "out"),
+    ):
+        pass
+    with OutputDirectory(tmp_path / "out", overwrite=True):
+        pass
+
+
+def test_the_current_directory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be replaced, and the shell that is in it would not see the results."""
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path / "empty")
+    with pytest.raises(OutputError, match=r"^\.: is the current directory"), OutputDirectory(Path()):
+        pass
+
+
 def test_directory_has_default_permissions(tmp_path: Path) -> None:
     with OutputDirectory(tmp_path / "out"):
         pass
