@@ -140,7 +140,9 @@ class _DeviceReader:
     def _put(self, device: int, messages: list[Message]) -> None:
         """Take messages of a device, in its thread; scans get the number of their lidar."""
         if number := self._lidar_numbers.get(device):
-            messages = [replace(message, lidar=number) if isinstance(message, Scan) else message for message in messages]
+            messages = [
+                replace(message, lidar=number) if isinstance(message, Scan) else message for message in messages
+            ]
         if self._paused and any(isinstance(message, Scan) for message in messages):
             self._buffer.skip(device, messages)
             return

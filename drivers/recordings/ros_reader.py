@@ -253,7 +253,7 @@ class RosReader(RecordingReader):
         if topic is not None or not contents.counts.keys() & {TRANSFORMS, TRANSFORMS_ROS1}:
             return OdometryTopic(topic)
         lidar = next((stream.frame for stream in contents.clocks.streams(self._chosen_scan_topic[0])), "")
-        frames = find_odometry_frames(self._messages_to_read(final=False), contents.fixed, lidar)
+        frames = find_odometry_frames(self._messages_to_read(final=False), contents.all, lidar)
         contents.base = contents.base if frames is None else frames[1]
         return OdometryTopic(None, frames)
 

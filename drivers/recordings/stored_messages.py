@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from ..messages import Odometry
 from .ros_messages import ODOMETRY, TRANSFORMS, TRANSFORMS_ROS1, decode, odometry_of
 from .tf_odometry import TransformOdometry
-from .transforms import TransformTree, normalize_frame
+from .transforms import TransformTree, is_odometry_frame, normalize_frame
 
 TRUE_POSES = "ground_truth"
 """Part of the names of topics on which simulators publish the true poses of a robot as Odometry."""
@@ -89,14 +89,16 @@ def is_moving_transform(stored: StoredMessage) -> bool:
     return stored.msgtype in (TRANSFORMS, TRANSFORMS_ROS1) and not stored.topic.endswith("tf_static")
 
 
-def find_odometry_frames(messages: Iterable[StoredMessage], fixed: TransformTree, lidar: str) -> tuple[str, str] | None:
+def find_odometry_frames(
+    messages: Iterable[StoredMessage], transforms: TransformTree, lidar: str
+) -> tuple[str, str] | None:
     """Return the frame of the odometry and the frame that it moves, from the transforms of a recording.
 
-    The name of the odometry's frame contains `odom`, by REP 105. Of several such transforms it is one that moves the
-    lidar, if static transforms connect that with its base, and of these the one sent most often; None if there is none.
+    Of several such transforms it is one that moves the lidar, if transforms connect that with its base, and of these
+    the one sent most often; None if there is none.
 
-    fixed  static transforms
-    lidar  frame of the scans; empty if it is unknown
+    transforms  of the robot
+    lidar       frame of the scans; empty if it is unknown
     """
     counts: Counter[tuple[str, str]] = Counter()
     for stored in messages:
@@ -104,9 +106,9 @@ def find_odometry_frames(messages: Iterable[StoredMessage], fixed: TransformTree
             with suppress(ValueError):  # counted on the final pass
                 for stamped in decode(stored.data, stored.msgtype, stored.encoding).transforms:
                     frames = normalize_frame(stamped.header.frame_id), normalize_frame(stamped.child_frame_id)
-                    counts[frames] += "odom" in frames[0].rpartition("/")[2]
+                    counts[frames] += is_odometry_frame(frames[0])
     moved = Counter(
-        {frames: n for frames, n in counts.items() if n and fixed.mount_on(frames[1], lidar).pose is not None}
+        {frames: n for frames, n in counts.items() if n and transforms.mount_on(frames[1], lidar).pose is not None}
     )
     found = (moved or counts).most_common(1)
     return found[0][0] if counts.total() else None

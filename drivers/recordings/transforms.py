@@ -36,8 +36,17 @@ class _Link:
     matrix: Floats
 
 
+def is_odometry_frame(frame: str) -> bool:
+    """Return True if a frame is that of odometry by its name, which contains `odom` by REP 105."""
+    return "odom" in frame.rpartition("/")[2]
+
+
 class TransformTree:
-    """Tree of static transforms between frames."""
+    """Tree of transforms between the frames of a robot.
+
+    Those from the frame of odometry are left out: the robot moves in it, and so may other things, as the goal of a
+    planner. A lidar that only they connect with a frame is not mounted there.
+    """
 
     def __init__(self) -> None:
         self._parents: dict[str, _Link] = {}
@@ -47,7 +56,8 @@ class TransformTree:
         for stamped in message.transforms:
             child, parent = normalize_frame(stamped.child_frame_id), normalize_frame(stamped.header.frame_id)
             link = _Link(parent, stamped.transform, _matrix(stamped.transform))
-            self._parents.setdefault(child, link)
+            if not is_odometry_frame(parent):
+                self._parents.setdefault(child, link)
 
     def find_mount(self, frame: str, odometry_child: str | None) -> LidarMount:
         """Return the mount of a lidar's frame; unknown if no chain of transforms connects it to the base.

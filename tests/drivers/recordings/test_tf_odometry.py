@@ -12,7 +12,7 @@ import drivers
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.recordings.ros_encoder import RosEncoder
-from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS
+from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS, decode
 from drivers.recordings.stored_messages import find_odometry_frames
 from drivers.recordings.transforms import TransformTree
 
@@ -56,6 +56,31 @@ def test_transforms_take_the_place_of_odometry(
     first = next(message for message in drive if isinstance(message, Scan))
     assert np.array_equal(next(message for message in read if isinstance(message, Scan)).mount, first.mount)
     assert "odometry from the transforms odom_combined -> base_link on /tf" in source.report.interpretations
+
+
+def test_odometry_moves_the_lidar_and_not_another_frame(
+    tmp_path: Path, drive: list[Message], write_bag: Callable[[Path, list[Stored]], Path]
+) -> None:
+    """As robots of ROS 1 send it: the mount again and again on /tf, and more often where a planner wants to go."""
+    entries: list[Stored] = []
+    for topic, kind, received, data in on_tf(ros_entries(drive, ENCODER), drive):
+        goals = 3 if kind == TRANSFORMS and topic == "/tf" else 0
+        goal = ENCODER.transform(0.01, "odom_combined", "goal", np.array([5.0, 6.0, 1.0]))
+        entries += [("/tf", TRANSFORMS, received, goal)] * goals
+        entries.append(("/tf" if topic == "/tf_static" else topic, kind, received, data))
+    read = list(drivers.open(write_bag(tmp_path / "a.bag", entries)))
+    expected = [message.pose for message in drive if isinstance(message, Odometry)]
+    assert np.array_equal([message.pose for message in read if isinstance(message, Odometry)], expected)
+    first = next(message for message in drive if isinstance(message, Scan))
+    assert np.array_equal(next(message for message in read if isinstance(message, Scan)).mount, first.mount)
+
+
+def test_a_lidar_is_not_mounted_on_what_odometry_moves() -> None:
+    tree = TransformTree()
+    for parent, child in (("base_link", "laser"), ("odom", "base_link"), ("odom", "goal")):
+        tree.add(decode(ENCODER.transform(0.01, parent, child, np.full(3, 0.5)), TRANSFORMS, "cdr"))
+    assert tree.mount_on("base_link", "laser").pose is not None
+    assert tree.mount_on("goal", "laser").pose is None
 
 
 def test_recordings_place_the_scans_for_viewers(tmp_path: Path, drive: list[Message]) -> None:
