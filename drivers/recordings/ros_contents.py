@@ -18,6 +18,8 @@ from .transforms import TransformTree
 
 MAX_TF_MESSAGES = 1000
 """Messages on /tf that are searched for the lidar's mount, which older robots publish there repeatedly."""
+TF_STRIDE = 20
+"""Later ones of which one is read, to see whether the mount moves."""
 
 
 @dataclass(slots=True)
@@ -72,6 +74,13 @@ class Contents:
                 return mount
         return LidarMount()
 
+    def defect_of(self, frame: str) -> str:
+        """Return why a lidar with a frame does not measure in one horizontal plane, as text; empty if it does."""
+        if self.all.moves(frame, self.base):
+            return "of a lidar that moves on the robot"
+        tilt = self.find_mount(frame).tilt
+        return f"of a lidar that is tilted by {math.degrees(tilt):.0f} degrees" if tilt else ""
+
 
 def survey(messages: Iterable[StoredMessage]) -> Contents:
     """Return the contents of a recording with these messages; those that cannot be decoded are only counted."""
@@ -85,7 +94,7 @@ def survey(messages: Iterable[StoredMessage]) -> Contents:
             if stored.msgtype in (TRANSFORMS, TRANSFORMS_ROS1):
                 fixed = stored.topic.endswith("tf_static")
                 tf_messages += not fixed
-                if fixed or tf_messages <= MAX_TF_MESSAGES:
+                if fixed or tf_messages <= MAX_TF_MESSAGES or tf_messages % TF_STRIDE == 0:
                     message = decode(stored.data, stored.msgtype, stored.encoding)
                     contents.all.add(message)
                     if fixed:

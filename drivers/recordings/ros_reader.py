@@ -155,6 +155,8 @@ class RosReader(RecordingReader):
         for frame in dict.fromkeys(stream.frame for stream in contents.clocks.streams(scans)):
             for text in contents.find_mount(frame).describe():
                 self.interpret(f"{frame} is {text}")
+            if contents.all.moves(frame, contents.base):
+                self.doubt(f"{frame} moves on the robot by its transforms, and is taken to be where it is at first")
 
     def _yaw_rate(self, stored: StoredMessage, contents: Contents) -> YawRate:
         message = decode(stored.data, IMU, stored.encoding)
@@ -209,6 +211,7 @@ class RosReader(RecordingReader):
                 with suppress(ValueError):  # counted on the final pass
                     message = decode(stored.data, LASER_SCAN, stored.encoding)
                     candidates[stored.topic].add(scan_of(message, stored.received, LidarMount()))
+                    candidates[stored.topic].defect = contents.defect_of(message.header.frame_id)
         return choose_scan_topic(list(candidates.values()))
 
     @cached_property

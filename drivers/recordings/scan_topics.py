@@ -23,9 +23,15 @@ any regularity keep it, all of a steady lidar's do."""
 
 @dataclass(slots=True)
 class ScanTopic:
-    """Scans of one topic as far as the choice needs them: stamps in seconds, and the number of returns of each scan."""
+    """Scans of one topic as far as the choice needs them.
+
+    stamps   seconds
+    returns  number of returns of each scan
+    defect   why the lidar does not measure in one horizontal plane, as text; empty if it does, as far as is known
+    """
 
     name: str
+    defect: str = ""
     stamps: list[float] = field(default_factory=list)
     returns: list[int] = field(default_factory=list)
 
@@ -57,14 +63,15 @@ class ScanTopic:
         even, returns = self.even, self.returns
         share = float(even.mean()) if len(even) else 0.0
         mean = float(np.mean(returns)) if returns else 0.0
-        return f"{len(returns)} scans, {100.0 * share:.0f} % evenly stamped, with {mean:.0f} returns each"
+        defect = f", {self.defect}" if self.defect else ""
+        return f"{len(returns)} scans, {100.0 * share:.0f} % evenly stamped, with {mean:.0f} returns each{defect}"
 
 
 def choose_scan_topic(topics: Sequence[ScanTopic]) -> tuple[str, str]:
-    """Return the name of the topic of the best quality, and the reason as one line of text.
+    """Return the name of the topic of the best quality, one without a defect if any, and the reason as a line of text.
 
     topics  at least one; of equally good ones the first is chosen
     """
-    chosen = max(topics, key=lambda topic: topic.quality)
+    chosen = max(topics, key=lambda topic: (not topic.defect, topic.quality))
     others = "; ".join(f"{topic.name}: {topic.describe()}" for topic in topics if topic is not chosen)
     return chosen.name, f"scans of {chosen.name}: {chosen.describe()} ({others}); lidar.topic names another topic"

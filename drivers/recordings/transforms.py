@@ -21,6 +21,9 @@ MIN_LEVEL, MAX_LEVEL = math.cos(math.radians(60.0)), math.cos(math.radians(1.0))
 """Cosines of the tilts between which scans are projected: less changes ranges by less than their noise, and a lidar
 that is tilted more does not measure along the floor."""
 
+MOVED = 0.02
+"""Metres, and about a degree as an element of a rotation, from which on a frame has moved."""
+
 
 def normalize_frame(frame: str) -> str:
     """Return a frame's name without the leading slash that ROS 1 allowed."""
@@ -50,14 +53,18 @@ class TransformTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, _Link] = {}
+        self._moving: set[str] = set()  # frames that have moved in their parents
 
     def add(self, message: Any) -> None:
         """Add the transforms of a TFMessage; the first of each frame counts. Raises ValueError if one is not rigid."""
         for stamped in message.transforms:
             child, parent = normalize_frame(stamped.child_frame_id), normalize_frame(stamped.header.frame_id)
             link = _Link(parent, stamped.transform, _matrix(stamped.transform))
-            if not is_odometry_frame(parent):
-                self._parents.setdefault(child, link)
+            if is_odometry_frame(parent):
+                continue
+            first = self._parents.setdefault(child, link)
+            if first.parent == parent and not np.allclose(link.matrix, first.matrix, rtol=0.0, atol=MOVED):
+                self._moving.add(child)
 
     def find_mount(self, frame: str, odometry_child: str | None) -> LidarMount:
         """Return the mount of a lidar's frame; unknown if no chain of transforms connects it to the base.
@@ -92,6 +99,18 @@ class TransformTree:
         base_root, base_pose = self._from_root(base)
         is_known = base in self._parents or base in {link.parent for link in self._parents.values()}
         return np.asarray(np.linalg.inv(base_pose) @ lidar) if is_known and base_root == root else None
+
+    def moves(self, frame: str, base: str | None) -> bool:
+        """Return True if a frame moves on the base: a motor turns or tilts it."""
+        frame = normalize_frame(frame)
+        bases = (normalize_frame(base),) if base else BASE_FRAMES
+        for _ in range(len(self._parents)):  # damaged data may contain cycles
+            if frame in bases or frame not in self._parents:
+                return False
+            if frame in self._moving:
+                return True
+            frame = self._parents[frame].parent
+        return False
 
     def up_axis(self, base: str | None, frame: str) -> Floats:
         """Return the direction (3,) of the base's z axis in another frame; its own z axis if that is not connected."""

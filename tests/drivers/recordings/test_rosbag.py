@@ -34,6 +34,7 @@ from drivers.recordings.ros_messages import (
 )
 from drivers.recordings.rosbag import BagReader
 from drivers.recordings.transforms import TransformTree
+from drivers.source_factory import LidarSelection
 from slam.cli.app import app
 from slam.cli.console import EXIT_USER_ERROR
 
@@ -48,11 +49,13 @@ def header(stamp: int, frame: str) -> Any:
     return TYPES["std_msgs/msg/Header"](time, frame)
 
 
-def laser_scan(stamp: int, ranges: list[float], received: int = 5, topic: str = "/scan", **fields: float) -> Stored:
+def laser_scan(
+    stamp: int, ranges: list[float], received: int = 5, topic: str = "/scan", frame: str = "laser", **fields: float
+) -> Stored:
     values = {"angle_min": -1.0, "angle_max": 1.0, "angle_increment": 0.5, "time_increment": 0.001, "scan_time": 0.1}
     values |= {"range_min": 0.1, "range_max": 10.0} | fields
     measured = np.array(ranges, dtype=np.float32)
-    message = TYPES[LASER_SCAN](header(stamp, "laser"), ranges=measured, intensities=measured[:0], **values)
+    message = TYPES[LASER_SCAN](header(stamp, frame), ranges=measured, intensities=measured[:0], **values)
     return topic, LASER_SCAN, received, bytes(STORE.serialize_cdr(message, LASER_SCAN))
 
 
@@ -174,6 +177,30 @@ def test_a_lidar_that_is_not_level_is_named(tmp_path: Path, write_bag: WriteBag)
         "laser is upside down by its transform: scans are mirrored",
         "laser is tilted by 10.0 degrees by its transform: scans are projected onto a horizontal plane",
     ]
+
+
+@pytest.mark.parametrize(("tilts", "chosen"), [(True, "/level"), (False, "/tilting")])
+def test_scans_of_a_lidar_that_a_motor_tilts_are_not_preferred(
+    tmp_path: Path, write_bag: WriteBag, tilts: bool, chosen: str
+) -> None:
+    """They have more returns, but are not measured in one plane."""
+    entries = []
+    for i in range(40):
+        angle = 0.3 * math.sin(0.4 * i) if tilts else 0.0
+        entries += [
+            transform(
+                "base_link", "laser", (0.1, 0.0, 0.3), (0.0, math.sin(angle / 2), 0.0, math.cos(angle / 2)), "/tf"
+            ),
+            laser_scan(10**9 + i * 10**8, [1.0, 2.0, 3.0, 4.0], topic="/tilting"),
+            laser_scan(10**9 + i * 10**8, [1.0, 2.0], topic="/level", frame="level"),
+        ]
+    entries.append(transform("base_link", "level", (0.2, 0.0, 0.0), UPRIGHT))
+    source = drivers.open(write_bag(tmp_path / "a.bag", entries))
+    assert len(list(source)) == 40
+    assert source.report.scan_topic == chosen
+    named = drivers.open(tmp_path / "a.bag", LidarSelection("/tilting"))
+    assert len(list(named)) == 40
+    assert ("laser moves on the robot by its transforms" in "".join(named.report.doubts)) == tilts
 
 
 def test_mount_from_repeated_transforms(read: Read) -> None:

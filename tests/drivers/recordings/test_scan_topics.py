@@ -12,8 +12,8 @@ from drivers.recordings.scan_topics import ScanTopic, choose_scan_topic
 from ...recordings import dataset_file
 
 
-def topic(name: str, stamps: list[float], returns: int = 90) -> ScanTopic:
-    scans = ScanTopic(name)
+def topic(name: str, stamps: list[float], returns: int = 90, defect: str = "") -> ScanTopic:
+    scans = ScanTopic(name, defect)
     ranges = np.where(np.arange(100) < returns, 1.0, np.nan)
     for stamp in stamps:
         scans.add(Scan(stamp, ranges, np.linspace(-1, 1, 100), np.zeros(100), 0.1, 10.0))
@@ -36,6 +36,7 @@ SENT_LATE = [stamp + RANDOM.uniform(0.0, 0.2) for stamp in STEADY]
         (topic("one scan", STEADY[:1]), topic("steady", STEADY)),
         (topic("unreadable", []), topic("steady", STEADY)),
         (topic("one stamp", [1.0] * 300), topic("steady", STEADY)),
+        (topic("tilting", STEADY, defect="of a lidar that moves on the robot"), topic("steady", STEADY, returns=30)),
     ],
     ids=lambda topic: topic.name,
 )
