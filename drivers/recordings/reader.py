@@ -13,6 +13,7 @@ from ..messages import Message, Odometry, Scan
 from .copies import without_copies
 from .frozen_odometry import FrozenOdometryDetector
 from .odometry_speed import OdometrySpeed
+from .odometry_spikes import without_spikes
 from .stamp_units import in_seconds
 from .surveyed_recording import SurveyedRecording
 from .time_ordering import FAR, Numbered, order_by_time, sort_within
@@ -79,7 +80,8 @@ class RecordingReader(SurveyedRecording):
         used: Counter[type[Message]] = Counter()
         try:
             numbered = _counted(self._read(), read)
-            for message in without_copies(order_by_time(in_seconds(numbered, self), self), self):
+            ordered = order_by_time(in_seconds(numbered, self), self)
+            for message in without_spikes(without_copies(ordered, self), self):
                 used[type(message)] += 1
                 yield message
         except OSError as error:

@@ -108,7 +108,8 @@ def test_any_poses_are_read_back_bit_for_bit(tmp_path: Path, assert_same: Same, 
             GroundTruth(to_seconds(i * 12345678), np.array(pose)),
             Odometry(to_seconds(i * 12345678), np.array(pose)),
         ]
-    assert_same(list(McapReader(record(file, messages))), messages)
+    decoded = [message for _, message in McapReader(record(file, messages))._read()]  # before jumps are left out
+    assert_same(decoded, messages)
 
 
 def test_ros_tools_read_the_recording(tmp_path: Path, drive: list[Message]) -> None:
