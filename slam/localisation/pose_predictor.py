@@ -125,6 +125,22 @@ class PosePredictor:
         after = self._last_odometry if self._odometry_after_gap is None else self._odometry_after_gap
         return after is not None and self.stood(after)
 
+    @property
+    def measured_in_gap(self) -> bool:
+        """True if odometry has measured the motion from the last fix to the last scan.
+
+        It has not if the wheels stood, as the robot may have been carried then, or if there was no reading in most of
+        that time.
+        """
+        if self._fix is None or self._last_odometry is None or not self.measured or self.stood_in_gap:
+            return False
+        begin, end = self._fix.odometry.stamp, self._last_odometry.stamp
+        stamps = self._dead_reckoning.history.stamps
+        if not len(stamps):
+            return True
+        within = stamps[np.searchsorted(stamps, begin) : np.searchsorted(stamps, end, side="right")]
+        return float(np.diff(within, prepend=begin, append=end).max()) <= 0.5 * (end - begin)
+
     def correct(self, pose: se2.Pose, covariance: Floats | None = None) -> None:
         """Replace the pose of the last fix, and predict from it from now on; for the covariance see `PoseFix`."""
         assert self._fix is not None

@@ -268,7 +268,7 @@ class Tracker:
         agree_for_long = scans >= MAX_UNTRACKED_SCANS and not self._views.changed and not after_gap
         doubtful = confirms_slip and (match.poor or evidence.is_ambiguous) and not agree_for_long
         # Nothing has measured the motion in a gap: odometry is missing or failing, or the robot may have been carried.
-        poor_after_gap = match.poor and after_gap and (not self.measured or self._predictor.stood_in_gap)
+        poor_after_gap = match.poor and after_gap and not self._predictor.measured_in_gap
         if seems_slipped or doubtful or poor_after_gap:
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirms_slip or evidence.contradicts_odometry

@@ -28,6 +28,7 @@ from slam.matching.scan_features import ScanFeatures
 from slam.matching.scan_points import ScanPoints
 from slam.odometry.dead_reckoning import DeadReckoning
 from slam.odometry.error_model import OdometryModel
+from slam.odometry.history import OdometryHistory
 from slam.odometry.predicted_motion import PredictedMotionModel
 
 from ..outlines import noisy_field, outline, scan_points, visible, with_noise
@@ -235,13 +236,14 @@ def results_after_gap(
     room: Floats = ROOM,
     driven: tuple[float, float, float] = WRONG,
     model: OdometryModel | None = None,
+    history: OdometryHistory | None = None,
 ) -> tuple[Tracker, list[TrackingResult]]:
     """Return the results of scans of a robot that stands, after a drive and some seconds without scans.
 
     The robot has not driven on as before the gap; see STANDS. `driven` is its motion in the gap by odometry, metres,
-    metres and radians; `model` is that of odometry's errors.
+    metres and radians; `model` is that of odometry's errors, `history` has its readings.
     """
-    tracker = Tracker(DeadReckoning(model or OdometryModel(OdometryConfig())))
+    tracker = Tracker(DeadReckoning(model or OdometryModel(OdometryConfig()), history))
     target = MatchTarget(empty_local_map(), ROOM_FIELD, SMOOTH)
     for k in range(12):
         pose = np.array([1.0 + 0.05 * k, 1.5, 0.0])
@@ -291,6 +293,18 @@ def test_a_robot_whose_wheels_stood_in_a_long_gap_may_have_been_carried(gap: flo
     tracker, results = results_after_gap(gap, 4, FULL_ROOM, STOOD)
     assert all(result.poor for result in results)
     assert tracker.lost is tracker.may_have_been_carried is lost
+
+
+@pytest.mark.parametrize(("silence", "lost"), [(1.0, False), (8.0, True)])
+def test_poor_fits_after_a_gap_in_scans_and_odometry_place_no_robot(silence: float, lost: bool) -> None:
+    """It was put back by three metres, and a fit of 14 % of the points began a second copy of the hall."""
+    begin, end = np.array([1.55, 1.5, 0.0]), se2.compose([1.55, 1.5, 0.0], np.array(RIGHT))
+    stamps = np.concatenate([np.arange(0.0, 2.0, 0.1), np.arange(2.0 + silence, 12.0, 0.1)])
+    poses = np.where(stamps[:, None] < 2.0, begin, end)
+    history = OdometryHistory.from_arrays(stamps, poses)
+    tracker, results = results_after_gap(10.0, 4, FULL_ROOM, RIGHT, history=history)
+    assert all(result.poor for result in results)
+    assert tracker.lost is lost
 
 
 @pytest.mark.parametrize(("gap", "lost"), [(0.4, False), (10.0, True)])
