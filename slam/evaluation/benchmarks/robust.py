@@ -79,7 +79,10 @@ def _run_recording(job: Job, drive: RecordedDrive, prepare: Prepare) -> RobustRe
     paths = [(as_recorded(stamps, read), poses) for stamps, poses in paths]
     errors = [(math.nan, math.nan)] * 2
     if drive.reference is not None:
-        errors = [reference_errors(Trajectory.sorted(*path), drive.reference) for path in paths]
+        errors = [
+            reference_errors(Trajectory.sorted(*path), drive.reference) if len(path[0]) else (math.nan, math.nan)
+            for path in paths
+        ]
     return run.result(job.name, drive.origin, errors)
 
 

@@ -25,7 +25,7 @@ from ...io.tum import Trajectory, read_tum
 from ...pipeline import Slam
 from ...preprocessing.deskew import lidar_mount
 from ..metrics import MIN_ALIGNED_PAIRS, read_relations, score_reference, score_relations
-from ..scan_agreement import BeamTable, ScanAgreement
+from ..scan_agreement import BeamTable
 from .robust_drives import RELATIONS
 
 WORSE = 1.05
@@ -160,13 +160,18 @@ class ScoredRun:
         """Stamps (n,) and poses (n, 3) of raw odometry."""
         return self._odometry
 
+    def _score(self, path: tuple[Floats, Floats], errors: tuple[float, float]) -> PathScore:
+        """Return the score of a path; NO_SCORE for that of odometry if there is none."""
+        if not len(path[0]):
+            return NO_SCORE
+        agreement = self._beams.agreement(Trajectory.sorted(*path))
+        return PathScore(*errors, agreement.entropy, agreement.conflict)
+
     def result(self, name: str, reference: str, errors: Sequence[tuple[float, float]]) -> RobustResult:
         """Return the result, given the errors of the path and of odometry."""
         summary: dict[str, Any] = self.finished.summary
         path = Trajectory.sorted(*self.path)
-        odometry = Trajectory.sorted(*self._odometry)
-        agreements = [self._beams.agreement(path), self._beams.agreement(odometry)]
-        slam, raw = (_score(*pair) for pair in zip(errors, agreements, strict=True))
+        slam, raw = (self._score(one, own) for one, own in zip((self.path, self._odometry), errors, strict=True))
         return RobustResult(
             name=name,
             reference=reference,
@@ -181,7 +186,3 @@ class ScoredRun:
             suspects=tuple(suspect["sentence"] for suspect in summary["suspects"]),
             cpu=self._cpu,
         )
-
-
-def _score(errors: tuple[float, float], agreement: ScanAgreement) -> PathScore:
-    return PathScore(*errors, agreement.entropy, agreement.conflict)

@@ -13,11 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+import drivers
 from drivers import se2
-from drivers.messages import Message, Scan, Source
+from drivers.messages import Message, Odometry, Scan, Source
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
+from slam.cli.commands.bench.timing import resolve_timing
 from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.evaluation.benchmarks import robust
@@ -115,6 +117,19 @@ def test_a_recording_is_scored_against_its_reference_and_odometry(folder: Path) 
     assert failed.name == "other/broken"
     assert "broken.clf" in failed.failed
     assert "internal error" not in failed.failed
+
+
+def test_a_recording_without_odometry_is_mapped_as_by_wclm_run(folder: Path, tmp_path: Path) -> None:
+    good = find_recordings(folder)[1]
+    record(
+        tmp_path / "room.mcap", (message for message in drivers.open(good.path) if not isinstance(message, Odometry))
+    )
+    result = run_job(Job(replace(good, path=tmp_path / "room.mcap")), resolve_timing)
+    assert result.failed == ""
+    assert result.slam.error < 0.1
+    assert result.placed > 0.9
+    assert math.isnan(result.odometry.error)
+    assert math.isnan(result.odometry.entropy)
 
 
 def test_scans_are_drawn_from_the_mount_of_the_settings() -> None:

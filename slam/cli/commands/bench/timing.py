@@ -11,9 +11,10 @@ if TYPE_CHECKING:
 
 
 def resolve_timing(source: Source) -> Config:
-    """Return the default settings with the delay of the lidar that a recording shows, as `wclm run` uses them."""
+    """Return the default settings with what a recording shows of its lidar and odometry, as `wclm run` uses them."""
     from ....config import Config
     from ....io.recording_timing import RecordingTiming
+    from ....io.recordings import reason_without_odometry
 
-    config = Config()
+    config = Config() if reason_without_odometry(source) is None else Config().without_odometry()
     return RecordingTiming.of(source, config.lidar).compensated(config)
