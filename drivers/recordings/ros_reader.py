@@ -282,7 +282,11 @@ class RosReader(RecordingReader):
 
     def _topics(self) -> str:
         """Return the topics of the recording as the end of a line of text, empty if none is known."""
-        topics = [f"{topic} ({msgtype})" for topic, msgtype in sorted(self._stored_topics.items())]
+        read = self._contents_of_all.counts.get(LASER_SCAN, Counter())
+        topics = [
+            f"{topic} ({msgtype}{'' if topic in read or msgtype != LASER_SCAN else ', but without a message'})"
+            for topic, msgtype in sorted(self._stored_topics.items())
+        ]
         if not topics:
             return ""
         more = len(topics) - SHOWN_TOPICS

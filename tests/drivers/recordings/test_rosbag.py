@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rosbags.rosbag2 import Writer
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
@@ -304,6 +305,16 @@ def test_bag_with_a_gyroscope_alone_is_an_error(tmp_path: Path, write_bag: Write
     path = write_bag(tmp_path / "bag", [("/imu", IMU, 10**9, rate)])
     with pytest.raises(RecordingError, match=r"contains no readable .*; its topics are /imu \(sensor_msgs/msg/Imu\)"):
         list(BagReader(path))
+
+
+def test_a_topic_of_scans_without_a_message_is_named_so(tmp_path: Path) -> None:
+    odometry = RosEncoder().odometry(Odometry(1.0, np.zeros(3)))
+    with Writer(tmp_path / "bag", version=9) as writer:
+        writer.add_connection("/scan", LASER_SCAN, typestore=STORE)
+        writer.write(writer.add_connection("/odom", ODOMETRY, typestore=STORE), 10**9, odometry)
+    source = BagReader(tmp_path / "bag")
+    with pytest.raises(RecordingError, match=r"/scan \(sensor_msgs/msg/LaserScan, but without a message\)"):
+        source.check_scans()
 
 
 def test_topics_are_named_if_none_has_scans(tmp_path: Path, write_bag: WriteBag) -> None:
