@@ -53,6 +53,7 @@ class TransformTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, _Link] = {}
+        self._frames: set[str] = set()  # all that are named
         self._moving: set[str] = set()  # frames that have moved in their parents
 
     def add(self, message: Any) -> None:
@@ -60,6 +61,7 @@ class TransformTree:
         for stamped in message.transforms:
             child, parent = normalize_frame(stamped.child_frame_id), normalize_frame(stamped.header.frame_id)
             link = _Link(parent, stamped.transform, _matrix(stamped.transform))
+            self._frames |= {child, parent}
             if is_odometry_frame(parent):
                 continue
             first = self._parents.setdefault(child, link)
@@ -97,8 +99,7 @@ class TransformTree:
         base, frame = normalize_frame(base), normalize_frame(frame)
         root, lidar = self._from_root(frame)
         base_root, base_pose = self._from_root(base)
-        is_known = base in self._parents or base in {link.parent for link in self._parents.values()}
-        return np.asarray(np.linalg.inv(base_pose) @ lidar) if is_known and base_root == root else None
+        return np.asarray(np.linalg.inv(base_pose) @ lidar) if base in self._frames and base_root == root else None
 
     def moves(self, frame: str, base: str | None) -> bool:
         """Return True if a frame moves on the base: a motor turns or tilts it."""

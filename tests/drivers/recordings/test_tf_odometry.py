@@ -83,6 +83,13 @@ def test_a_lidar_is_not_mounted_on_what_odometry_moves() -> None:
     assert tree.mount_on("goal", "laser").pose is None
 
 
+def test_a_lidar_with_the_frame_of_the_base_is_mounted_there() -> None:
+    tree = TransformTree()
+    tree.add(decode(ENCODER.transform(0.01, "odom", "base_link", np.full(3, 0.5)), TRANSFORMS, "cdr"))
+    assert tree.find_mount("base_link", "base_link").pose == pytest.approx(np.zeros(3))
+    assert tree.find_mount("laser", "base_link").pose is None
+
+
 def test_recordings_place_the_scans_for_viewers(tmp_path: Path, drive: list[Message]) -> None:
     """The transforms on /tf alone say where the scans of a recording are."""
     path = tmp_path / "drive.mcap"
