@@ -39,7 +39,7 @@ from .ros_messages import (
 )
 from .ros_scans import ScanConverter
 from .scan_topics import ScanTopic, choose_scan_topic
-from .sensor_clocks import Stream, stream_of
+from .sensor_clocks import Stream, restamped, stream_of
 from .stored_messages import (
     OdometryTopic,
     StoredMessage,
@@ -131,19 +131,25 @@ class RosReader(RecordingReader):
         if scans in contents.counts.get(LASER_SCAN, Counter()):
             self._interpret_mounts(contents, scans)
         converter = ScanConverter(contents, scans, self.cut, per_metre, contents.find_no_return(scans, per_metre))
+        standing = contents.clocks.standing({scans, odometry.topic, imu}, odometry.frames)
+        for topic in sorted({stream.topic for stream in standing}):
+            self.interpret(f"stamps of {topic} stand still: the times of reception are taken")
         for stored in self._messages_to_read(final=True):
             try:
                 if stored.msgtype in (BEAMS, LASER_SCAN, POINT_CLOUD):
                     is_foreign = bool(foreign) and stored.msgtype == LASER_SCAN and stream_of(stored) in foreign
                     if not is_foreign and (scan := converter.convert(stored)) is not None:
-                        yield stored.number, scan
+                        yield stored.number, restamped(scan, stored, standing)
                 elif odometry.is_in(stored):
                     shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
                     for reading in odometry.readings(stored):
-                        yield stored.number, delay_odometry(reading, shift)
+                        yield stored.number, delay_odometry(restamped(reading, stored, standing), shift)
                 elif stored.msgtype == IMU and stored.topic == imu:
                     shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
-                    yield stored.number, delay_odometry(self._yaw_rate(stored, contents), shift)
+                    yield (
+                        stored.number,
+                        delay_odometry(restamped(self._yaw_rate(stored, contents), stored, standing), shift),
+                    )
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
                     pose = decode(stored.data, POSE, stored.encoding)
                     yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))

@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import struct
 from array import array
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Set
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
+from ..messages import Odometry, Scan, YawRate
+from ..timestamps import to_seconds
 from .point_clouds import POINT_CLOUD
 from .ros_messages import IMU, LASER_SCAN, ODOMETRY, TRANSFORMS, TRANSFORMS_ROS1
 from .stored_messages import StoredMessage
@@ -30,12 +33,17 @@ hundred may have a wrong stamp."""
 MAX_SPREAD = 0.5
 """Range of these times, as a share of the difference, up to which the difference is constant. Origin: geometry; the
 ranges of two clocks are apart then."""
+MIN_STANDING = 10
+"""Messages with the first stamp of their stream from which its clock may stand. Origin: chosen; a few may be of one
+burst."""
 MAX_STREAMS = 1000
 """Streams that are compared. Origin: chosen, more than any robot has; the frames of a damaged recording are random."""
 STAMPED = frozenset({LASER_SCAN, ODOMETRY, IMU, POINT_CLOUD})
 """Types of messages that begin with a header."""
 MOVED = frozenset({TRANSFORMS, TRANSFORMS_ROS1})
 """Types of messages that are lists of transforms, each of which begins with a header."""
+
+Stamped = TypeVar("Stamped", Scan, Odometry, YawRate)
 
 
 class Stream(NamedTuple):
@@ -48,20 +56,38 @@ class Stream(NamedTuple):
 
 @dataclass(slots=True)
 class SensorClocks:
-    """Seconds from the stamp to the reception of the messages of each stream."""
+    """Seconds from the stamp to the reception of the messages of each stream; zeros if its clock stands."""
 
     delays: dict[Stream, array[float]] = field(default_factory=dict)
+    _first: dict[Stream, tuple[int, int]] = field(default_factory=dict)  # first stamp, and how often it came
 
     def add(self, stored: StoredMessage) -> None:
         """Add a message; those without a stamp, and those of streams beyond MAX_STREAMS, do not count."""
         found = _header(stored)
         if found is not None and found[0] and (found[1] in self.delays or len(self.delays) < MAX_STREAMS):
             nanoseconds, stream = found
+            first, count = self._first.get(stream, (nanoseconds, 0))
+            self._first[stream] = first, count + (nanoseconds == first)
             self.delays.setdefault(stream, array("d")).append((stored.received - nanoseconds) * 1e-9)
 
     def streams(self, topic: str | None) -> list[Stream]:
         """Return the streams of a topic, that with the most messages first."""
         return sorted((s for s in self.delays if s.topic == topic), key=lambda s: -len(self.delays[s]))
+
+    def stands(self, stream: Stream | None) -> bool:
+        """Return True if the clock of a stream stands: most of its messages have one stamp.
+
+        They are as if they had none, and their times are those of reception.
+        """
+        if stream not in self.delays:
+            return False
+        count = self._first[stream][1]
+        return count >= MIN_STANDING and 2 * count > len(self.delays[stream])
+
+    def standing(self, topics: Set[str | None], frames: tuple[str, str] | None) -> frozenset[Stream]:
+        """Return the streams whose clocks stand, of some topics and of the transforms between two frames."""
+        read = (one for one in self.delays if one.topic in topics or (one.frame, one.child) == frames)
+        return frozenset(stream for stream in read if self.stands(stream))
 
     def apart(self, topic: str | None) -> bool:
         """Return true if a topic has a stream of another clock than that with the most messages."""
@@ -84,9 +110,18 @@ class SensorClocks:
         return difference if abs(difference) >= MIN_DIFFERENCE and constant else 0.0
 
     def _range(self, stream: Stream) -> tuple[float, float, float]:
+        if self.stands(stream):
+            return 0.0, 0.0, 0.0
         low, high = EXTREMES
         values = np.percentile(np.frombuffer(self.delays[stream]), (low, 50.0, high))
         return float(values[0]), float(values[1]), float(values[2])
+
+
+def restamped(message: Stamped, stored: StoredMessage, standing: Set[Stream]) -> Stamped:
+    """Return a message, which was decoded from a stored one, with the time of reception if its clock is `standing`."""
+    if not standing or stream_of(stored) not in standing:
+        return message
+    return replace(message, stamp=to_seconds(stored.received))
 
 
 def stream_of(stored: StoredMessage) -> Stream | None:

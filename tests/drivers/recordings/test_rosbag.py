@@ -112,6 +112,23 @@ def test_zero_stamp_is_replaced_by_the_time_of_reception(read: Read) -> None:
     assert only_scan(read([laser_scan(0, [1.0, 2.0], received=3 * 10**9)])).stamp == 3.0
 
 
+@pytest.mark.parametrize("behind", [0, 150])
+def test_stamps_that_stand_still_are_replaced_by_the_times_of_reception(
+    tmp_path: Path, write_bag: WriteBag, behind: int
+) -> None:
+    """As a simulator sends odometry; the clock of the lidar may be that of the recorder, or seconds `behind` it."""
+    encoder, entries = RosEncoder(), list[Stored]()
+    for i in range(30):
+        received = (200 * 10 + i) * 10**8
+        reading = Odometry(200.0, np.array([0.1 * i, 0.0, 0.0]))
+        entries.append(("/odom", ODOMETRY, received, encoder.odometry(reading)))
+        entries.append(laser_scan(received - behind * 10**9, [1.0, 2.0], received=received))
+    source = drivers.open(write_bag(tmp_path / "a.bag", entries))
+    stamps = [message.stamp for message in source if isinstance(message, Odometry)]
+    np.testing.assert_allclose(stamps, 200.0 - behind + 0.1 * np.arange(30), atol=1e-6)
+    assert "stamps of /odom stand still: the times of reception are taken" in source.report.interpretations
+
+
 def test_missing_range_limits_mean_no_limits(read: Read) -> None:
     scan = only_scan(read([laser_scan(1, [1.0, 50.0, 0.0], range_min=0.0, range_max=0.0)]))
     assert scan.range_max == math.inf
