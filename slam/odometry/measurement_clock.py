@@ -27,7 +27,8 @@ class MeasurementClock:
 
     The stamps of recordings may come in bursts, if a busy computer stamped the scans when it read them. The lidar
     turned evenly meanwhile, so the mean of the latest intervals is used then. If most scans are in bursts, the median
-    is no period of a lidar either. The same holds for readings of odometry.
+    is no period of a lidar either. The same holds for readings of odometry. A pause that is longer than the latest
+    intervals together is none between bursts: measurements are missing.
 
     last  stamp of the last measurement; None before the first, and after `start_again`
     """
@@ -57,6 +58,9 @@ class MeasurementClock:
         last, self.last = self.last, stamp
         if last is None:
             return 0.0
+        is_known = len(self._latest) == PERIOD_SAMPLES
+        if is_known and self._in_bursts and stamp - last > sum(self._ordered):
+            return stamp - last
         self._add(stamp - last)
         return self.period if self._in_bursts else max(stamp - last, self.period)
 

@@ -39,6 +39,16 @@ def test_scans_of_a_burst_are_a_period_apart(size: int, spacing: float):
     assert found == pytest.approx(PERIOD, rel=0.25)  # a burst may be partly outside of the latest intervals
 
 
+@pytest.mark.parametrize("size", [2, 10])
+def test_missing_scans_are_no_burst(size: int):
+    """The robot has driven on for as long as the lidar failed, and a scan after it may be from any place."""
+    before = in_bursts(200, size, 0.001)
+    after = [before[-1] + 40.0 + stamp for stamp in in_bursts(100, size, 0.001)]
+    found = intervals([*before, *after])
+    assert found[len(before)] == pytest.approx(after[0] - before[-1])
+    assert np.delete(found, len(before))[PERIOD_SAMPLES:] == pytest.approx(PERIOD, rel=0.25)
+
+
 @pytest.mark.parametrize("stamps", [[PERIOD * k for k in range(300)], in_bursts(400, 10, 0.001)])
 def test_the_period_is_that_of_the_lidar(stamps: list[float]):
     clock = MeasurementClock()
