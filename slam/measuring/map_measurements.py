@@ -8,12 +8,10 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from .measurement import Kind, Measurement, are_parallel, measure_angle, measure_distance, measure_length
+from .outlines import SAME_PLACE
 from .rooms import Room, measure_room
 from .visible_pairs import measure_pairs
 from .wall_map import WallMap
-
-# Metres between the ends of two lengths that are the same. Origin: numerical.
-SAME_PLACE = 1e-6
 
 
 def measure_map(wall_map: WallMap, rooms: Sequence[Room]) -> list[Measurement]:

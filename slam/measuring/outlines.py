@@ -41,6 +41,8 @@ MIN_JUNCTION_SINE = 0.5
 # Metres between two places at which a wall is divided. Origin: geometry, half a cell of a wall's coverage; less
 # than the thickness of a wall between two rooms.
 MIN_CUT_SPACING = 0.05
+# Metres between two ends at the same place. Origin: numerical, above rounding and below what any scan can tell apart.
+SAME_PLACE = 1e-6
 
 
 @immutable
@@ -213,7 +215,7 @@ def _bridge_cost(wall_map: WallMap, edges: Edges, before: int, after: int) -> fl
     if abs(np.sin(turn)) <= MIN_SINE:
         gap = wall_map.along(first, start) - float(edges.span[before, 1])
         cost = abs(gap) + abs(float(wall_map.normal(first) @ (start - end)))
-        if first == second and gap <= 0.0:  # divided where another wall meets it
+        if first == second and gap <= SAME_PLACE:  # divided where another wall meets it
             cost += STEP_COST
         possible = np.cos(turn) > 0.0 and gap >= -CORNER_MARGIN and cost <= MAX_BRIDGE
         return cost if possible and not _crosses(edges, np.stack([end, start]), (before, after)) else np.inf
@@ -248,8 +250,11 @@ def _step_cost(wall_map: WallMap, edges: Edges, before: int, after: int) -> floa
 
 
 def _crosses(edges: Edges, bridge: Floats, without: tuple[int, int]) -> bool:
-    """Return True if a polyline (k, 2) crosses an edge other than two."""
-    others = np.delete(edges.ends, without, axis=0)
+    """Return True if a polyline (k, 2) crosses an edge of other walls than those of two edges.
+
+    Edges of these walls are on one line with parts of the polyline: whether they cross it would be up to rounding.
+    """
+    others = edges.ends[~np.isin(edges.wall, edges.wall[list(without)])]
     return any(crossing(a, b, others[:, 0], others[:, 1]).any() for a, b in pairwise(bridge))
 
 

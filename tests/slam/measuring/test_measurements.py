@@ -110,6 +110,20 @@ def test_walls_of_two_rooms_on_one_line_are_divided_by_the_partition() -> None:
     assert [one.area for one in found] == [pytest.approx(12.0)] * 2
 
 
+@pytest.mark.parametrize("common", [True, False])
+def test_rooms_along_one_wall_do_not_depend_on_rounding(common: bool) -> None:
+    walls = [[(0.0, 0.0), (12.2, 0.0)]]
+    for left in (0.0, 4.1, 8.2):
+        walls.append([(left + 4.0, 0.25), (left + 4.0, 3.0)])  # the foot was not seen
+        walls += [] if common else [[(left + 4.0, 3.0), (left, 3.0)]]
+        walls.append([(left, 3.0), (left, 0.25)])
+    walls += [[(12.2, 3.0), (0.0, 3.0)]] if common else []
+    plan, rng = wall_map(walls, path=[(1.0, 1.0), (5.0, 1.5), (10.0, 1.0)]), np.random.default_rng(3)
+    for _ in range(12):
+        found = find_rooms(moved(plan, rng.normal(0.0, 1e-7, 2 * len(walls))))
+        assert [one.area for one in found] == [pytest.approx(12.0, abs=1e-3)] * 3
+
+
 def test_an_outline_is_closed_across_a_door_beside_a_corner() -> None:
     walls = room([(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)])
     walls[2] = [(4.1, 4.0), (0.0, 4.0)]  # the robot came through the rest
