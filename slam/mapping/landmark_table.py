@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 # Value of `removed_at` for a wall that still exists; otherwise the keyframe after which it no longer did.
 # Origin: definition.
 NEVER_REMOVED = -1
+# The same for a wall that was deleted by hand: it never existed. Origin: definition.
+DELETED = 0
 # Value of `merged_into` for a wall that no keyframe observes any more, and for walls merged into such a wall; also the
 # `last_seen` of a landmark whose observations have been reset. Origin: definition.
 UNOBSERVED = -1
@@ -29,7 +31,7 @@ WALL_DTYPE = np.dtype(
         ("covariance_in_map", float, (2, 2)),  # likewise in the map, computed when last_seen was the last keyframe
         ("merged_into", int),  # id of the wall that replaces this one: its own id if it is not merged, or UNOBSERVED
         ("in_graph", bool),  # confirmed, and therefore a variable of the graph
-        ("removed_at", int),  # keyframe after which the wall no longer existed, or NEVER_REMOVED
+        ("removed_at", int),  # keyframe after which the wall no longer existed, NEVER_REMOVED or DELETED
     ]
 )
 

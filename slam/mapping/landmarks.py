@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from drivers import se2
 
 from ..geometry.segments import Floats, Integers
-from .landmark_table import CORNER_DTYPE, NEVER_REMOVED, WALL_DTYPE, LandmarkTable
+from .landmark_table import CORNER_DTYPE, DELETED, NEVER_REMOVED, WALL_DTYPE, LandmarkTable
 from .map_parts import MapParts
 from .near_landmarks import NO_KEYFRAME, near_corners, near_walls
 from .wall_cells import (
@@ -224,6 +224,11 @@ class Landmarks:
         """Mark a wall as no longer there after a keyframe. Its row is kept."""
         self.walls.rows["removed_at"][wall] = keyframe
 
+    def delete_walls(self, walls: Sequence[int]) -> None:
+        """Mark walls as no landmarks, and as deleted by hand. Their rows are kept."""
+        self.walls.rows["in_graph"][walls] = False
+        self.walls.rows["removed_at"][walls] = DELETED
+
     def open_wall(self, wall: int, cells: Iterable[int], keyframe: int) -> None:
         """Open cells of a wall: they are no longer there after a keyframe, the rest of the wall is."""
         self.opened.setdefault(wall, {}).update(dict.fromkeys(cells, keyframe))
@@ -262,6 +267,11 @@ class Landmarks:
         """Return the ids of the confirmed walls that have been removed."""
         walls = self.walls.rows
         return np.flatnonzero(walls["in_graph"] & (walls["removed_at"] != NEVER_REMOVED))
+
+    def deleted_walls(self) -> NDArray[np.int64]:
+        """Return the ids of the walls that were deleted by hand."""
+        walls = self.walls.rows
+        return np.flatnonzero(~walls["in_graph"] & (walls["removed_at"] == DELETED))
 
     def active_corners(self, corners: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Return (m,) which corners have no removed wall among their known walls."""

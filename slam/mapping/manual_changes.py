@@ -20,13 +20,10 @@ def delete_wall(mapper: Mapper, wall: int) -> None:
     undetermined.
     """
     landmarks = mapper.landmarks
-    rows = landmarks.walls.rows
-    deleted = np.flatnonzero(suppress_overlapping_walls(landmarks).walls.rows["merged_into"] == wall)
-    mapper.graph = without_walls(mapper.graph, deleted.tolist())
-    rows["in_graph"][deleted] = False
-    for each in deleted.tolist():
-        landmarks.remove_wall(each, 0)
-    mapper.free_space_evidence.discard(deleted.tolist())
+    deleted = np.flatnonzero(suppress_overlapping_walls(landmarks).walls.rows["merged_into"] == wall).tolist()
+    mapper.graph = without_walls(mapper.graph, deleted)
+    landmarks.delete_walls(deleted)
+    mapper.free_space_evidence.discard(deleted)
     mapper.graph.update_until_converged()
     mapper.read_back_all()
 
@@ -40,3 +37,10 @@ def tie_walls(mapper: Mapper, kept: int, absorbed: int) -> None:
     mapper.graph.update()
     mapper.graph.update_until_converged()
     mapper.read_back_all()
+
+
+def fragile_changes(mapper: Mapper) -> str:
+    """Return in words which changes of a map a refinement would undo, as it associates all features again."""
+    deleted = len(mapper.landmarks.deleted_walls()) > 0
+    present = {"pins": bool(mapper.graph.pins()), "walls that were deleted by hand": deleted}
+    return " and ".join(name for name, found in present.items() if found)

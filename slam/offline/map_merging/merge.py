@@ -9,6 +9,7 @@ from drivers.immutable import immutable
 from ...errors import MapError
 from ...io.sessions import StoredSession
 from ...mapping.convergence import converge
+from ...mapping.manual_changes import fragile_changes
 from ...recognition.location import OVERLAP, Location, locate
 from .pairwise_merge import merge_pair
 from .session_scans import drive_of, map_of
@@ -30,13 +31,15 @@ def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSessi
     """Merge named sessions into the map of the first; the order of the others does not matter.
 
     A session that overlaps the first only by way of another is merged after that one. The sessions are changed and
-    cannot be used afterwards. Raises MapError naming the session that has no keyframe, is not recognised, or contains a
-    recording that another contains too.
+    cannot be used afterwards. Raises MapError naming the session that has no keyframe, has manual corrections that
+    would be lost, is not recognised, or contains a recording that another contains too.
     """
     _check_recordings(sessions)
     for name, session in sessions:
         if not session.slam_state.mapper.keyframe_count:
             raise MapError(f"{name}: has no keyframe, so it cannot be merged")
+        if changes := fragile_changes(session.slam_state.mapper):
+            raise MapError(f"{name}: has {changes}, which merging would drop; merge before correcting")
         converge(session.slam_state.mapper)
     (_, merged), *remaining = sessions
     added: list[tuple[str, Location]] = []

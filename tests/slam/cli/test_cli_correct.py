@@ -123,6 +123,7 @@ def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, sess
     mapper = read_session(session).slam_state.mapper
     converge(mapper)
     assert not mapper.landmarks.walls.rows["in_graph"][wall]
+    assert wall in mapper.landmarks.deleted_walls()  # so the session is neither merged nor, if continued, refined
     other = int(read_run_results(session).walls.identity[0])
     assert wclm("correct", session, "--delete-wall", other).exit_code == 0
     listed = wclm("correct", session, "--list").stdout.splitlines()

@@ -23,6 +23,7 @@ from slam import Slam
 from slam.cli.app import app
 from slam.config import config_to_toml
 from slam.errors import MapError
+from slam.estimation.map_view import map_features
 from slam.evaluation.benchmarks.relocalisation import split_halves
 from slam.evaluation.metrics import read_relations, score_reference, score_relations
 from slam.geometry.segments import Floats
@@ -31,6 +32,7 @@ from slam.io.output_dir import CONFIG, RESULTS
 from slam.io.sessions import Recording, StoredSession, read_session, write_session
 from slam.io.tum import Trajectory, read_tum
 from slam.mapping.convergence import converge
+from slam.mapping.manual_changes import delete_wall
 from slam.offline.map_merging import merge_sessions
 from slam.offline.map_merging.session_scans import drive_of, map_of
 from slam.offline.map_merging.transfer import clock_shift, shift_clock
@@ -165,6 +167,20 @@ def test_session_without_keyframes_is_refused(sessions: dict[str, Path]) -> None
         merge_sessions([("first", session), *read(sessions, "second")])
 
 
+def test_session_whose_deleted_walls_or_pins_would_be_lost_is_not_merged(sessions: dict[str, Path]) -> None:
+    deleted, pinned = read_session(sessions["second"]), read_session(sessions["second"])
+    delete_wall(deleted.slam_state.mapper, int(map_features(deleted.slam_state.mapper)[0].identity[0]))
+    graph = pinned.slam_state.mapper.graph
+    graph.add_pinned_pose(0, np.zeros(3), np.eye(3))
+    graph.update()
+    for changed, changes in ((deleted, "walls that were deleted by hand"), (pinned, "pins")):
+        with pytest.raises(MapError, match=f"second: has {changes}, which merging would drop"):
+            merge_sessions([*read(sessions, "first"), ("second", changed)])
+        for refine in (optimise, lambda session: Slam(resumed=session, refine=True)):
+            with pytest.raises(MapError, match=f"has {changes}, which a refinement would drop"):
+                refine(changed)
+
+
 # Order
 
 PLACED = PlacedSubmap(range(2), np.zeros(3), np.eye(3), np.zeros(3), np.zeros((0, 2), dtype=np.int64), 1.0, 1.0)
@@ -191,6 +207,7 @@ def fake_sessions(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return Location(9, [PLACED] * shared, 20.0 * shared, 15.0, 20.0 * shared, f"they share {shared} rooms")
 
     monkeypatch.setattr(module, "converge", lambda mapper: 0)
+    monkeypatch.setattr(module, "fragile_changes", lambda mapper: "")
     monkeypatch.setattr(module, "map_of", lambda session: session)
     monkeypatch.setattr(module, "drive_of", lambda session: session)
     monkeypatch.setattr(module, "locate", locate)
