@@ -24,6 +24,7 @@ from .localisation.state import LocalisationEvent, LocalisationState
 from .localisation.tracking import TrackingResult
 from .loop_closure.agreement import LoopAgreement
 from .mapping.convergence import converge
+from .mapping.manual_changes import fragile_changes
 from .mapping.map_features import MapCorners, MapWalls
 from .mapping.plan_map import VIEWS_END, PlanMap
 from .odometry.history import OdometryHistory
@@ -82,6 +83,8 @@ class Slam:
         """
         if plan is not None and resumed is not None:
             raise MapError("a plan cannot be used together with a session that is continued")
+        if refine and resumed is not None and (changes := fragile_changes(resumed.slam_state.mapper)):
+            raise MapError(f"the session to continue has {changes}, which a refinement would drop")
         self._initial_pose = start if plan is None else None
         self.config = config or Config()
         self._refine, self._extends_map = refine, not frozen

@@ -17,6 +17,7 @@ from ..geometry.segments import Floats
 from ..io.sessions import StoredSession
 from ..localisation.tracking import PoseFix
 from ..mapping.convergence import converge
+from ..mapping.manual_changes import fragile_changes
 from ..mapping.mapper import Mapper
 from ..mapping.odometry_segments import OdometrySegments
 from ..mapping.plan_map import VIEWS_END
@@ -45,11 +46,13 @@ def optimise(session: StoredSession, sinks: Sequence[Sink] = ()) -> OptimisedSes
     """Optimise a session; the input must not be used afterwards.
 
     Publishes the map before, every keyframe at its new pose, and the map after. Raises MapError if the session has
-    fewer than two keyframes, or the estimate is undetermined.
+    fewer than two keyframes, manual corrections that would be lost, or if the estimate is undetermined.
     """
     slam_state, publisher = session.slam_state, Publisher(sinks)
     if slam_state.mapper.keyframe_count < 2:
         raise MapError("nothing to optimise: the session has fewer than two keyframes")
+    if changes := fragile_changes(slam_state.mapper):
+        raise MapError(f"has {changes}, which a refinement would drop; refine before correcting")
     converge(slam_state.mapper)
     before, history = slam_state.mapper, session.scan_history()
     publisher.publish_map(float(history.stamps[0]), before, index=0)
