@@ -10,7 +10,19 @@ from typing import Any
 from ...errors import MapError
 from ...formatting import counted
 from ...io.host import versions
-from ...io.output_dir import CONFIG, EXPORTS, KEYFRAMES, MAP, PICTURE, SESSION, SUMMARY, TRAJECTORY, OutputDirectory
+from ...io.output_dir import (
+    CONFIG,
+    DEMO_RESULTS,
+    EXPORTS,
+    KEYFRAMES,
+    MAP,
+    PICTURE,
+    PLAN_RESULTS,
+    SESSION,
+    SUMMARY,
+    TRAJECTORY,
+    OutputDirectory,
+)
 from ...io.run_results import read_run_results, write_results
 from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
@@ -21,6 +33,8 @@ from ..slam_run import write_report_page
 
 FILES = (TRAJECTORY, KEYFRAMES, MAP, CONFIG, SUMMARY)
 """Results that depend on corrections, besides the session."""
+UNIQUE = PLAN_RESULTS | DEMO_RESULTS | {PICTURE}
+"""Results that only the run can make: they are kept with those before the corrections, and restored with them."""
 LOGS = "review*.rrd"
 """Review logs: they show the run, without corrections."""
 
@@ -37,7 +51,7 @@ def write_corrected_session(
     results = read_run_results(base)
     check_page(results)  # the new page shows parts of its summary
     session = read_session(base)
-    stale = sorted(name for name in EXPORTS | {PICTURE} if (target / name).exists())
+    exported = sorted(name for name in EXPORTS | UNIQUE if (target / name).exists())
     with OutputDirectory(target, overwrite or out is None) as directory:
         for log in sorted(path.glob(LOGS)):
             shutil.copy2(log, directory)
@@ -49,6 +63,7 @@ def write_corrected_session(
             write_corrections(directory, list(corrections))
         else:
             _copy_results(base, directory)
+        stale = [name for name in exported if not (directory / name).exists()]
     write_report_page(target)
     removed = [f"  removed, as they show the map before: {', '.join(stale)}"] if stale else []
     if not corrections:
@@ -64,6 +79,9 @@ def _copy_results(source: Path, directory: Path) -> None:
             shutil.copy2(source / name, directory)
         elif name != KEYFRAMES:
             raise MapError(f"{source}: has no {name}; expected the output directory of `wclm run`")
+    for name in UNIQUE:
+        if (source / name).is_file():
+            shutil.copy2(source / name, directory)
     shutil.copytree(source / SESSION, directory / SESSION)
 
 

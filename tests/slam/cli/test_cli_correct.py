@@ -14,7 +14,17 @@ from drivers.elapsed import elapsed
 from drivers.messages import GroundTruth
 from drivers.simulation import LidarModel, Simulation
 from slam.evaluation.metrics import score_reference
-from slam.io.output_dir import KEYFRAMES, MAP, REPORT, SUMMARY, TRAJECTORY
+from slam.io.output_dir import (
+    CLOSURE_PICTURE,
+    KEYFRAMES,
+    MAP,
+    PICTURE,
+    PLAN_DIFFERENCES,
+    PLAN_PICTURE,
+    REPORT,
+    SUMMARY,
+    TRAJECTORY,
+)
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
 from slam.io.tum import Trajectory, read_tum
@@ -117,8 +127,13 @@ def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, sess
     files = {name: (session / name).read_bytes() for name in (TRAJECTORY, KEYFRAMES, MAP, SUMMARY)}
     wall = int(read_run_results(session).walls.identity[0])
     assert wclm("map", session, "--format", "svg").exit_code == 0
-    assert "removed, as they show the map before: map.svg" in wclm("correct", session, "--delete-wall", wall).stdout
-    assert not (session / "map.svg").exists()
+    for name in (PICTURE, CLOSURE_PICTURE, PLAN_DIFFERENCES, PLAN_PICTURE):  # which only the run can make
+        files[name] = name.encode()
+        (session / name).write_bytes(files[name])
+    removed = "closure.png, map.png, map.svg, plan.geojson, plan.svg"
+    shown = wclm("correct", session, "--delete-wall", wall).stdout
+    assert f"removed, as they show the map before: {removed}" in shown
+    assert not any((session / name).exists() for name in removed.split(", "))
     assert wall not in read_run_results(session).walls.identity
     mapper = read_session(session).slam_state.mapper
     converge(mapper)
@@ -132,7 +147,7 @@ def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, sess
     present = read_run_results(session).walls.identity
     assert other in present
     assert wall not in present
-    assert wclm("correct", session, "--undo").exit_code == 0
+    assert "removed" not in wclm("correct", session, "--undo").stdout
     assert {name: (session / name).read_bytes() for name in files} == files
     assert wclm("correct", session, "--list").stdout == "no corrections\n"
 
