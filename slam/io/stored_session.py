@@ -17,6 +17,7 @@ from ..estimation.refinement import ScanHistory, build_scan_history
 from ..estimation.slam_state import SlamState
 from ..odometry.history import OdometryHistory
 from ..preprocessing.preprocessor import ProcessedScan
+from .recorded_stamps import as_read
 
 if TYPE_CHECKING:
     from .sessions.header import Recording
@@ -67,6 +68,11 @@ class StoredSession:
     def first_pose(self) -> se2.Pose:
         """Pose (3,) of the first keyframe in the map."""
         return np.array(self.slam_state.mapper.keyframe_poses[0])
+
+    def stamp_as_read(self, stamp: float) -> float:
+        """Return a stamp of `trajectory.tum`, seconds, on the clock of the session, with which it was read."""
+        summary = {"recordings": [recording.model_dump() for recording in self.recordings]}
+        return float(as_read(np.array([stamp]), summary)[0])
 
     def copy(self) -> StoredSession:
         """Return a copy that a run which continues this session does not change."""

@@ -119,10 +119,9 @@ def _place(session: Path, part: str, text: str) -> Place:
 
 def _start(session: Path) -> float:
     """Return the stamp (seconds) from which the times of a session are counted. Raises MapError."""
-    from ...io.output_dir import TRAJECTORY
-    from ...io.tum import read_tum
+    from ...io.run_results import read_run_results
 
-    return float(read_tum(session / TRAJECTORY).stamps[0])
+    return float(read_run_results(session).trajectory.stamps[0])
 
 
 def _not_places(text: str) -> typer.BadParameter:

@@ -203,10 +203,11 @@ class LoopCorrector:
             if place.keyframe >= len(stamps):
                 raise MapError(f"there is no keyframe {place.keyframe}: the session has {len(stamps)}")
             return place.keyframe
-        gaps = np.abs(stamps - place.stamp)
+        assert place.stamp is not None
+        stamp = self._session.stamp_as_read(place.stamp)
+        gaps = np.abs(stamps - stamp)
         if gaps.min() > MAX_TIME_DIFFERENCE:
-            assert place.stamp is not None
-            since, nearest = elapsed(round(place.stamp - stamps[0])), int(gaps.argmin())
+            since, nearest = elapsed(round(stamp - stamps[0])), int(gaps.argmin())
             raise MapError(
                 f"{place.text}: there is no keyframe within {MAX_TIME_DIFFERENCE:.0f} s of that stamp, {since} after "
                 f"the first one; the nearest is keyframe {nearest}, {gaps[nearest]:.0f} s away"

@@ -48,6 +48,7 @@ class PinPlaces:
         history = session.scan_history()
         self._stamps, self._informations = history.stamps, history.informations
         self._own_keyframes = history.own_keyframes
+        self._stamp_as_read = session.stamp_as_read
         self._path, self._keyframe_poses = path, mapper.keyframe_poses.copy()
         self._keyframe_stamps = np.array(session.slam_state.keyframe_stamps)
 
@@ -55,12 +56,13 @@ class PinPlaces:
         """Return what a pin is about. Raises MapError if there is no scan near its stamp."""
         if pin.kind == "wall":
             return PinTarget()
-        gaps = np.abs(self._stamps - pin.id)
+        stamp = self._stamp_as_read(pin.id)
+        gaps = np.abs(self._stamps - stamp)
         row = int(gaps.argmin()) if len(gaps) else 0
         if not len(gaps) or gaps[row] > MAX_TIME_DIFFERENCE:
             raise MapError(f"{pin.name}: there is no scan within {MAX_TIME_DIFFERENCE} s of that stamp")
         keyframe = int(self._own_keyframes[row])
-        relative = se2.between(self._keyframe_poses[keyframe], self._pose(pin.id))
+        relative = se2.between(self._keyframe_poses[keyframe], self._pose(stamp))
         if self._keyframe_stamps[keyframe] == self._stamps[row]:
             return PinTarget(keyframe, relative)
         return PinTarget(keyframe, relative, np.asarray(np.linalg.inv(self._informations[row] + UNMATCHED)))

@@ -56,6 +56,24 @@ def test_trajectory_has_the_recorded_stamps_and_results_are_read_with_the_restor
     assert json.loads(wclm(*own).stdout)["ate_rmse"] < 1e-6
 
 
+def test_stamps_of_pins_are_those_of_the_trajectory_and_times_are_counted_from_its_start(
+    wclm: Any, tmp_path: Path
+) -> None:
+    write_log(tmp_path / "log.clf")
+    assert wclm("run", "log.clf", "--out", "out", "--no-review").exit_code == 0
+    stamps, poses = read_tum_poses(Path("out", "trajectory.tum"))
+    restored = np.flatnonzero(np.abs(stamps - TIMES / 1e6) > 0.1)[1:-1]
+    rows = [f"pose,{stamps[k]:.6f},{poses[k, 0]},{poses[k, 1]},0.002\n" for k in restored]
+    (tmp_path / "pins.csv").write_text("kind,id,x,y,sigma\n" + "".join(rows))
+    result = wclm("correct", "out", "--pins", "pins.csv", "--out", "pinned")
+    assert result.exit_code == 0, result.output
+    (outcome,) = read_run_results(Path("pinned")).summary["corrections"]
+    assert max(pin["before"] for pin in outcome["pins"]) < 0.005
+
+    late = f"{TIMES[0] / 1e6 + 5400.0:.12g} s: there is no keyframe"
+    wclm.refuses("correct", "out", "--close", "0:01,90:00", because=[late])
+
+
 def test_stamps_of_each_recording_of_a_session_are_replaced() -> None:
     recording = Recording(name="a", path=None, first=5.0, last=6.0, recorded_stamps={5.081719: 5.81719})
     later = recording.model_copy(update={"shift": 10.0, "recorded_stamps": {5.012345: 5.12345}})
