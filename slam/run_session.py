@@ -57,7 +57,7 @@ class RunSession:
         """
         decisions, keyframes = self._loop_decisions, session.slam_state.mapper.keyframe_count
         session.loop_decisions = [decision for decision in decisions if decision["keyframe"] < keyframes]
-        session.slam_state.loops.number_after(loops)
+        session.slam_state.loops.number_after(loops.state.candidates)
 
     def snapshot(self, state: SlamState, summary: dict[str, Any], after: float) -> RunSnapshot:
         """Return a copy of the run while it goes on; for `summary` and `after` see `RunSnapshot`."""

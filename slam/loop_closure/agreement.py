@@ -147,9 +147,9 @@ class LoopAgreement:
         self._candidates += 1
         return replace(decision, candidate=self._candidates)
 
-    def number_after(self, other: LoopAgreement) -> None:
-        """Give no number from now on that another search has given."""
-        self._candidates = max(self._candidates, other.state.candidates)
+    def number_after(self, candidate: int) -> None:
+        """Give no number from now on up to that of a decision, which was made elsewhere."""
+        self._candidates = max(self._candidates, candidate)
 
     def take_rejected(self, *, ended: bool = False) -> list[LoopDecision]:
         """Return the decisions against hypotheses that were given up since the last call; all if the run has `ended`.

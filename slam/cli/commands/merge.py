@@ -91,11 +91,13 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
 
 def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: float) -> dict[str, Any]:
     """Return the summary: entries as of a run, and how each session was located."""
+    from ...reporting.run_statistics import loop_counts
     from ...reporting.summary import RunTimes, summarise
     from ..run_summary import path_length
 
     session = joined.session
-    return summarise(
+    decisions = [dict(decision) for decision in session.loop_decisions]
+    summary = summarise(
         finished,
         recording=name,
         recording_path=None,
@@ -104,7 +106,9 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         duration=sum(one.last - one.first for one in session.recordings),
         path_length=sum(path_length(finished, one.first, one.last) for one in session.recordings),
         times=RunTimes(seconds, seconds),
-    ) | {
+    )
+    return summary | {
+        "slam": summary["slam"] | {"loops": loop_counts(decisions), "loop_decisions": decisions},
         "recordings": [recording.model_dump() for recording in session.recordings],
         "joined": [
             {

@@ -187,13 +187,15 @@ class LoopCorrector:
             numbers = ", ".join(str(k) for k in sorted({row["candidate"] for row in self._session.loop_decisions}))
             raise MapError(f"there is no loop {number}: {f'the loops are {numbers}' if numbers else 'there are none'}")
         if len({(row["keyframe"], row["old"]) for row in rows}) > 1:
-            raise MapError(f"several loops of merged sessions have the number {number}: state two keyframes instead")
+            merged = "as an earlier version has merged the sessions: merge them again"
+            raise MapError(f"several loops have the number {number}, {merged}")
         return rows[-1]
 
     def _store(self, row: dict[str, Any]) -> None:
         """Replace the rows of a loop decision by one, or add it."""
         others = [one for one in self._session.loop_decisions if one["candidate"] != row["candidate"]]
         self._session.loop_decisions = [*others, row]
+        self._state.loops.number_after(int(row["candidate"]))
         self.decided = [*(one for one in self.decided if one["candidate"] != row["candidate"]), row]
 
     def _keyframe(self, place: Place) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -60,6 +60,7 @@ def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[Pl
     starts = [*first.starts, *(row + offsets.scans for row in second.starts)]
     history = build_scan_history(scans, trajectory, stamps, odometry, kidnapped, starts)
     mapper = _merge_maps(state.mapper, other.mapper, history, model, members)
+    decisions, candidates = _merge_loop_decisions(first, second)
     slam_state = SlamState.restored(
         first.config,
         samples,
@@ -67,7 +68,7 @@ def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[Pl
         trajectory,
         stamps,
         _transfer_checkpoint(state, other, mapper, kidnapped, shift),
-        LoopAgreementState(last_search=mapper.travelled[-1]),
+        LoopAgreementState(last_search=mapper.travelled[-1], candidates=candidates),
         history.keyframe_scans,
     )
     return StoredSession(
@@ -80,7 +81,7 @@ def merge_pair(first: StoredSession, second: StoredSession, members: Sequence[Pl
         second_noise=second.second_noise,
         recordings=[*first.recordings, *second.recordings],
         queued_scans=second.queued_scans,
-        loop_decisions=[*first.loop_decisions, *_offset_loop_decisions(second, offsets.keyframes)],
+        loop_decisions=decisions,
     )
 
 
@@ -172,9 +173,13 @@ def _transfer_checkpoint(
     return replace(checkpoint, tracker=replace(checkpoint.tracker, fix=fix, reference=reference), anchor=anchor)
 
 
-def _offset_loop_decisions(session: StoredSession, keyframes: int) -> list[dict[str, Any]]:
-    """Return the loop decisions with their keyframes offset."""
-    return [
-        {**decision, **{name: decision[name] + keyframes for name in ("keyframe", "old")}}
-        for decision in session.loop_decisions
-    ]
+def _merge_loop_decisions(first: StoredSession, second: StoredSession) -> tuple[list[Mapping[str, Any]], int]:
+    """Return the loop decisions of both, those of the second with later keyframes and numbers, and the last number."""
+    last, last_of_second = (
+        max([session.slam_state.loops.state.candidates, *(int(row["candidate"]) for row in session.loop_decisions)])
+        for session in (first, second)
+    )
+    keyframes = first.slam_state.mapper.keyframe_count
+    offsets = {"candidate": last, "keyframe": keyframes, "old": keyframes}
+    later = [{**row, **{name: row[name] + more for name, more in offsets.items()}} for row in second.loop_decisions]
+    return [*first.loop_decisions, *later], last + last_of_second

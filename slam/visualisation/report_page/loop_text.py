@@ -61,11 +61,12 @@ def no_loops_text(slam: dict[str, Any]) -> str:
 
 
 def nearest_rejection(slam: dict[str, Any], start: float) -> str:
-    """Return time and reason of the rejected loop that came nearest to being closed; empty if there is none.
+    """Return time and reason of the rejected loop that came nearest to being closed; empty if that is not known.
 
     start  stamp (seconds) from which times are counted
     """
-    rows = by_margin([row for row in slam.get("loop_decisions") or [] if row["status"] == LoopStatus.REJECTED])
+    rejected = [row for row in slam.get("loop_decisions") or [] if row["status"] == LoopStatus.REJECTED]
+    rows = by_margin([row for row in rejected if row.get("margin") is not None])  # sessions do not contain it
     return f"at {elapsed(rows[0]['stamp'] - start)}: {rows[0]['reason']}" if rows else ""
 
 

@@ -219,6 +219,7 @@ def test_loops_are_forbidden_and_closed_by_hand(wclm: Any, mapped: Path, tmp_pat
     closed = read_run_results(session)
     assert abs(len(closed.walls) - walls) < 5
     assert closed.summary["slam"]["loops"]["accepted"] == len(loops) + 1
+    assert read_session(session).slam_state.loops.state.candidates == len(loops) + 1  # a continued run numbers on
     for _ in range(len(loops) + 1):
         assert wclm("correct", session, "--undo").exit_code == 0
     assert {name: (session / name).read_bytes() for name in files} == files

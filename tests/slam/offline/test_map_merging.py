@@ -30,9 +30,11 @@ from slam.geometry.segments import Floats
 from slam.io.map_json import read_map
 from slam.io.output_dir import CONFIG, RESULTS
 from slam.io.sessions import Recording, StoredSession, read_session, write_session
+from slam.io.sessions.corrections import LoopForbidding
 from slam.io.tum import Trajectory, read_tum
 from slam.mapping.convergence import converge
 from slam.mapping.manual_changes import delete_wall
+from slam.offline.corrections.loops import LoopCorrector
 from slam.offline.map_merging import merge_sessions
 from slam.offline.map_merging.session_scans import drive_of, map_of
 from slam.offline.map_merging.transfer import clock_shift, shift_clock
@@ -50,6 +52,12 @@ OFFICE = {
 """Seeds of two drives through one building, and the times in seconds from and up to which each is used: the second
 starts on the path of the first."""
 LIDAR = replace(LIDAR_MODELS["short"], beams=180, rate=2.5)
+REJECTED = {
+    **{"candidate": 1, "stamp": 20.0, "keyframe": 5, "old": 2, "status": "rejected", "reason": "an example"},
+    **{"matches": 3, "merged": 0, "motion": [0.1, 0.0, 0.0], "overlap_ratio": 0.9, "runner_up": 0.5, "sigma": 0.1},
+    **{"contradicted": 0.0, "shift": 0.0},
+}
+"""Loop decision of each session."""
 
 
 def mapped(messages: Sequence[Message], name: str, directory: Path) -> Path:
@@ -59,6 +67,7 @@ def mapped(messages: Sequence[Message], name: str, directory: Path) -> Path:
         slam.add(message)
     slam.finish()
     session = slam.session
+    session.loop_decisions = [REJECTED]  # as if a place had looked known
     session.recordings.append(Recording(name=name, path=None, first=messages[0].stamp, last=messages[-1].stamp))
     directory.mkdir()
     (directory / CONFIG).write_text(config_to_toml(session.config))
@@ -135,6 +144,18 @@ def test_merged_session_is_complete(both: Path, sessions: dict[str, Path]) -> No
     np.testing.assert_allclose(merged.slam_state.pose[:2], expected, atol=0.005)
     with pytest.raises(MapError, match="other: is not recognised in both"):
         merge_sessions([("both", merged), *read(sessions, "other")])
+
+
+def test_loops_of_all_sessions_are_listed_with_numbers_of_their_own(both: Path, sessions: dict[str, Path]) -> None:
+    slam, merged = json.loads((both / "summary.json").read_text())["slam"], read_session(both)
+    assert slam["loops"] == {"proposed": 2, "rejected": 2, "accepted": 0, "retracted": 0}
+    keyframes = read_session(sessions["first"]).slam_state.mapper.keyframe_count
+    rows = [tuple(row[name] for name in ("candidate", "keyframe", "old")) for row in slam["loop_decisions"]]
+    assert rows == [(1, 5, 2), (2, 5 + keyframes, 2 + keyframes)]
+    assert merged.slam_state.loops.state.candidates == 2
+    assert "an example" in (both / "report.html").read_text()
+    with pytest.raises(MapError, match="there is no loop 3: the loops are 1, 2"):
+        LoopCorrector(merged).forbid(LoopForbidding(loop=3), ())
 
 
 # Refused
