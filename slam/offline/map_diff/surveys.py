@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,9 @@ from ...recognition.location import OVERLAP
 from ...recognition.location import locate as locate_drive
 from ..map_merging.session_scans import drive_of, map_of
 from ..wall_alignment import MIN_COMMON, align_maps
+
+SAME_STAMP = 1e-3
+"""Seconds between two stamps of one scan, one of which was shifted and back. Origin: numerical."""
 
 
 @immutable
@@ -87,17 +91,31 @@ def locate(old: Survey, new: Survey, guess: se2.Pose | None = None) -> se2.Pose:
 def shared_scans(old: Survey, new: Survey) -> list[tuple[int, int]]:
     """Return the rows of the scans that both sessions contain, in the old one and in the new one.
 
-    There are some if one session was made from the other, or both from the same recording.
+    There are some if one session was made from the other, or both from the same recording, whose stamps may have been
+    shifted in one of them.
     """
     if old.session is None or new.session is None:
         return []
-    rows = {scan.stamp: row for row, scan in enumerate(old.session.scans)}
-    return [
-        (rows[scan.stamp], row)
-        for row, scan in enumerate(new.session.scans)
-        if scan.stamp in rows
-        and np.array_equal(old.session.scans[rows[scan.stamp]].features.points.xy, scan.features.points.xy)
-    ]
+    scans, stamps = old.session.scans, _stamps_of_recordings(old.session)
+    order, searched = np.argsort(stamps, kind="stable"), _stamps_of_recordings(new.session)
+    bounds = [np.searchsorted(stamps[order], searched + more).tolist() for more in (-SAME_STAMP, SAME_STAMP)]
+    shared = []
+    for row, (scan, low, high) in enumerate(zip(new.session.scans, *bounds, strict=True)):
+        points = scan.features.points.xy
+        same = (k for k in order[low:high].tolist() if np.array_equal(scans[k].features.points.xy, points))
+        shared += [(k, row) for k in islice(same, 1)]
+    return shared
+
+
+def _stamps_of_recordings(session: StoredSession) -> Floats:
+    """Return the stamps (n,) of the scans as they were before those of a recording were shifted, seconds."""
+    stamps = np.array([scan.stamp for scan in session.scans])
+    if not session.recordings:
+        return stamps
+    begins = np.array([recording.first for recording in session.recordings])
+    shifts = np.array([recording.shift for recording in session.recordings])
+    rows = np.searchsorted(begins, stamps + SAME_STAMP) - 1
+    return np.asarray(stamps - shifts[np.maximum(rows, 0)])
 
 
 def _pose_by_shared_scans(old: Survey, new: Survey) -> se2.Pose | None:

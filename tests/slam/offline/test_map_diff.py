@@ -15,7 +15,7 @@ import pytest
 from drivers import se2
 from drivers.simulation.world import load_world
 from slam.geometry.segments import Floats
-from slam.io.sessions import StoredSession
+from slam.io.sessions import StoredSession, read_session
 from slam.mapping.map_features import MapWalls
 from slam.mapping.plan import Plan
 from slam.mapping.plan_map import PlanMap, build_plan_map
@@ -28,7 +28,9 @@ from slam.offline.map_diff.movement import find_movements
 from slam.offline.map_diff.outputs import diff_text, write_diff_geojson, write_diff_svg
 from slam.offline.map_diff.plan import survey_plan
 from slam.offline.map_diff.sight import SeenThrough
+from slam.offline.map_diff.surveys import shared_scans
 from slam.offline.map_diff.wall_pairs import find_pairs
+from slam.offline.map_merging.transfer import shift_clock
 
 from ...traced_memory import traced_memory
 from ..measuring.plans import around, moved, room, wall_map
@@ -296,6 +298,11 @@ def test_maps_of_the_same_scans_are_aligned_by_these(wclm: Any, tmp_path: Path) 
     assert same.exit_code == 0, same.output
     assert "no wall has moved" in same.stdout
     assert "32 scans of better are also in room" in same.stderr
+    # also if the clock of one of them was shifted, as that of a later session is when merging
+    sessions = [read_session(Path("room")), shift_clock(read_session(Path("better")), 77.0)]
+    surveys = [replace(hall(np.random.default_rng(1)), session=session) for session in sessions]
+    assert shared_scans(*surveys) == [(row, row) for row in range(32)]
+    assert not shared_scans(surveys[0], replace(surveys[1], session=replace(sessions[1], recordings=[])))
 
 
 @pytest.mark.slow
