@@ -79,3 +79,12 @@ def summarise(
         "slam": finished.summary,
         "versions": versions(),
     }
+
+
+def summary_of_changed_map(before: dict[str, Any]) -> dict[str, Any]:
+    """Return the summary of a run whose map was changed later, without what holds for the map of the run only.
+
+    These are the errors against ground truth, the comparison with a plan, and that the run went on when it was saved.
+    """
+    kept = {name: value for name, value in before.items() if name not in ("plan", "unfinished")}
+    return kept | {"truth": None, "versions": versions()}

@@ -9,7 +9,6 @@ from typing import Any
 
 from ...errors import MapError
 from ...formatting import counted
-from ...io.host import versions
 from ...io.output_dir import (
     CONFIG,
     DEMO_RESULTS,
@@ -28,6 +27,7 @@ from ...io.sessions import read_session, write_session
 from ...io.sessions.corrections import UNCORRECTED, Correction, uncorrected, write_corrections
 from ...offline.corrections import CorrectedSession, correct_session
 from ...reporting.run_statistics import loop_counts, part_rows
+from ...reporting.summary import summary_of_changed_map
 from ...visualisation.report_page import check_page
 from ..slam_run import write_report_page
 
@@ -88,17 +88,15 @@ def _copy_results(source: Path, directory: Path) -> None:
 def _summary(before: dict[str, Any], corrected: CorrectedSession) -> dict[str, Any]:
     """Return the summary of the run with the figures of the corrected map."""
     finished, slam = corrected.finished, before.get("slam") or {}
-    return before | {
+    return summary_of_changed_map(before) | {
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "truth": None,  # the error before the corrections no longer applies
         "slam": slam
         | {"suspects": finished.summary["suspects"]}
         | ({"parts": part_rows(corrected.session.slam_state)} if "parts" in slam else {})
         | _loops(slam, corrected.loops),
         "corrections": corrected.outcomes,
-        "versions": versions(),
     }
 
 

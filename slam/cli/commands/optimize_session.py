@@ -12,7 +12,7 @@ from drivers.immutable import immutable
 from ...config import Config
 from ...errors import MapError
 from ...formatting import counted
-from ...io.host import peak_memory, versions
+from ...io.host import peak_memory
 from ...io.output_dir import PICTURE, OutputDirectory
 from ...io.recordings import open_to_map, recording_to_reopen
 from ...io.run_results import write_results
@@ -128,6 +128,7 @@ def _optimise(directory: Path, mapped: _Mapped, started: float, *, review: bool,
     """
     from ...io.sessions import write_session
     from ...offline.optimisation import optimise
+    from ...reporting.summary import summary_of_changed_map
 
     session, summary = mapped.session, mapped.summary
     with ExitStack() as log:
@@ -140,18 +141,16 @@ def _optimise(directory: Path, mapped: _Mapped, started: float, *, review: bool,
         except MapError as error:
             raise MapError(f"{mapped.source}: {error}") from error
     finished = optimised.finished
-    summary = summary | {
+    summary = summary_of_changed_map(summary) | {
         "keyframes": len(finished.keyframes),
         "walls": len(finished.walls),
         "corners": len(finished.corners),
-        "truth": None,  # the error before refinement no longer applies
         "recordings": [recording.model_dump() for recording in session.recordings],
         "slam": (summary.get("slam") or {})
         | {"refinement": optimised.summary, "factors": optimised.summary["factors_after"]}
         | {"suspects": finished.summary["suspects"]},
         "optimisation_seconds": time.perf_counter() - started,
         "peak_memory_mib": peak_memory(),
-        "versions": versions(),
     }
     if picture:
         from ...io.drives import split_drives

@@ -124,6 +124,8 @@ def test_a_pinned_point_on_a_wall_moves_it(wclm: Any, session: Path, tmp_path: P
 
 
 def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, session: Path) -> None:
+    of_the_run = {"unfinished": True, "plan": {"file": "a.svg", "recognised": False}}
+    (session / SUMMARY).write_text(json.dumps(json.loads((session / SUMMARY).read_text()) | of_the_run))
     files = {name: (session / name).read_bytes() for name in (TRAJECTORY, KEYFRAMES, MAP, SUMMARY)}
     wall = int(read_run_results(session).walls.identity[0])
     assert wclm("map", session, "--format", "svg").exit_code == 0
@@ -135,6 +137,7 @@ def test_a_deleted_wall_is_gone_and_undoing_restores_all_results(wclm: Any, sess
     assert f"removed, as they show the map before: {removed}" in shown
     assert not any((session / name).exists() for name in removed.split(", "))
     assert wall not in read_run_results(session).walls.identity
+    assert not of_the_run.keys() & read_run_results(session).summary.keys()
     mapper = read_session(session).slam_state.mapper
     converge(mapper)
     assert not mapper.landmarks.walls.rows["in_graph"][wall]
