@@ -38,7 +38,8 @@ def save_run(
     pipeline   that has made the run
     finished   what its `finish` returned
     directory  appears when it is complete
-    name       of the run in the results
+    name       of the run in the results. Sessions of one name with the same first and last stamps are not merged: they
+               count as made from one recording
     recording  that was mapped, to be found again; by default the measurements cannot be read again, and no occupancy
                grid drawn from them
     config     settings that are written, without what the recording shows of the lidars; by default those of the run
