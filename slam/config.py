@@ -202,10 +202,6 @@ class Config(Settings):
         """Return the properties of a lidar by its number, `Scan.lidar`."""
         return self.second_lidar if number else self.lidar
 
-    def mounts(self) -> list[tuple[float, float, float] | None]:
-        """Return the mount of each lidar, by number; None for one that the scans state."""
-        return [self.lidar.mount, *([self.second_lidar.mount] if self.second_lidar.topic else [])]
-
     def with_mount(self, mount: tuple[float, float, float]) -> Config:
         """Return these settings with a mount of the first lidar."""
         return self.model_copy(update={"lidar": self.lidar.model_copy(update={"mount": mount})})
@@ -217,10 +213,13 @@ class Config(Settings):
             update={name: one.model_copy(update={"topic": topic}) for name, (one, topic) in lidars.items()}
         )
 
-    def without_mounts(self) -> Config:
-        """Return these settings for scans that state their mounts."""
-        lidars = {"lidar": self.lidar, "second_lidar": self.second_lidar}
-        return self.model_copy(update={name: one.model_copy(update={"mount": None}) for name, one in lidars.items()})
+    def of_recording(self) -> dict[str, Any]:
+        """Return the settings by which a recording is read and its scans are placed, as data of JSON."""
+        lidars = {"lidar": self.lidar, **({"second_lidar": self.second_lidar} if self.second_lidar.topic else {})}
+        data: dict[str, Any] = {name: lidar.model_dump() for name, lidar in lidars.items()}
+        for lidar in data.values():
+            lidar["range_max"] = lidar["range_max"] if math.isfinite(lidar["range_max"]) else "inf"  # no number in JSON
+        return data | {"odometry": {"topic": self.odometry.topic}}
 
     def without_odometry(self) -> Config:
         """Return these settings for mapping by the scans alone."""
@@ -247,7 +246,7 @@ def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Conf
             raise ConfigurationError(f"{path}: {error.strerror or error}") from error
         except (ValueError, RecursionError) as error:
             raise ConfigurationError(f"{path}: invalid TOML: {error}") from error
-    config = _validated(data, str(path))
+    config = validated_config(data, str(path))
     for override in overrides:
         name, equals, text = override.partition("=")
         group, dot, key = name.strip().partition(".")
@@ -256,7 +255,7 @@ def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Conf
                 f"--set {override}: must have the form group.key=value, e.g. lidar.sigma_range=0.02"
             )
         data.setdefault(group, {})[key] = _value(text)
-        config = _validated(data, f"--set {override}")
+        config = validated_config(data, f"--set {override}")
     return config
 
 
@@ -267,7 +266,8 @@ def _value(text: str) -> Any:
         return text.strip()
 
 
-def _validated(data: dict[str, Any], place: str) -> Config:
+def validated_config(data: Any, place: str) -> Config:
+    """Return settings from plain data. Raises ConfigurationError, which names `place` and the setting."""
     try:
         return Config.model_validate(data)
     except ValidationError as error:

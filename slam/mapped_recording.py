@@ -159,9 +159,9 @@ class MappedRecording:
         from .io.sessions import Recording
 
         first, last = float(self.stamps[0]), float(self.stamps[-1])
-        stamps, mounts = self.source.report.recorded_stamps, self.slam.config.mounts()
+        stamps, used = self.source.report.recorded_stamps, self.slam.config
         recording = Recording(
-            name=self.name, path=self.reopen, first=first, last=last, recorded_stamps=stamps, mounts=mounts
+            name=self.name, path=self.reopen, first=first, last=last, recorded_stamps=stamps, settings=used
         )
         save_run(
             self.slam,

@@ -138,7 +138,7 @@ class InputStatistics:
             self.scans += 1
 
     def recording(self, run_input: RunInput, config: Config) -> Recording:
-        """Return the entry of the recording in a session; `config` has the mounts of the lidars as used."""
+        """Return the entry of the recording in a session; `config` are the settings as used."""
         from ..io.sessions import Recording
 
         first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
@@ -149,7 +149,7 @@ class InputStatistics:
             first=first,
             last=last,
             recorded_stamps=run_input.report.recorded_stamps,
-            mounts=config.mounts(),
+            settings=config,
         )
 
     @property

@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 import drivers
-from drivers import se2
-from drivers.messages import Message, Odometry, Scan, Source, SourceReport
+from drivers.messages import Message, Odometry, Source, SourceReport
 from drivers.source_factory import LidarSelection, recording_of
 
 from ..config import Config, LidarConfig
 from ..errors import ConfigurationError, MapError
+from .scan_settings import as_used
 
 if TYPE_CHECKING:
     from .run_results import RunResults
@@ -87,41 +85,25 @@ def lidar_selection(lidar: LidarConfig) -> LidarSelection:
 
 def has_recording(results: RunResults) -> bool:
     """Return True if the summary of a run names the file of each of its recordings."""
-    summary = results.summary
-    recordings = summary.get("recordings") or [{"path": summary.get("recording_path")}]
-    return all(isinstance(recording.get("path"), str) for recording in recordings)
+    return all(isinstance(recording.get("path"), str) for recording in results.recordings())
 
 
 def open_recording(results: RunResults, override: str | None = None) -> Source:
     """Open the recording of a run, or `override`, an argument of `drivers.open`.
 
-    The recordings of a continued or merged session are opened as one source. Scans state the mounts with which they
-    were mapped, those of `override` that of the first recording; see `RunResults.config_as_used`. Raises MapError if
-    the summary does not name the recording or the recording does not exist any more, RecordingError if `override`
-    cannot be opened.
+    The recordings of a continued or merged session are opened as one source. Scans are as they were used (see
+    `scan_settings`), those of `override` as those of the first recording. Raises MapError if the summary does not name
+    the recording or the recording does not exist any more, RecordingError if `override` cannot be opened.
     """
-    config, summary = results.config(), results.summary
-    single = {"name": summary.get("recording", ""), "path": summary.get("recording_path")}
-    recordings = summary.get("recordings") or [single]
+    recordings = results.recordings()
+    configs = [results.settings_as_used(one) for one in recordings]
     if override is not None:
-        mounts = _mounts(results, recordings[0].get("mounts") or [])
-        return ConcatenatedSource([open_source(override, config)], [0.0], [mounts])
-    sources = [_open(results, recording.get("name", ""), recording.get("path"), config) for recording in recordings]
-    shifts = [float(recording.get("shift", 0.0)) for recording in recordings]
-    return ConcatenatedSource(
-        sources, shifts, [_mounts(results, recording.get("mounts") or []) for recording in recordings]
-    )
-
-
-def _mounts(results: RunResults, stated: Any) -> list[se2.Pose | None]:
-    """Return the mounts of a recording's lidars from the summary. Raises MapError if they are invalid."""
-    try:
-        mounts = [None if mount is None else np.array(mount, dtype=np.float64) for mount in stated]
-    except (TypeError, ValueError):
-        mounts = [np.zeros(0)]
-    if not all(mount is None or (mount.shape == (3,) and np.isfinite(mount).all()) for mount in mounts):
-        raise MapError(f"{results.path}: mounts of a recording in its summary must have x, y and heading of each")
-    return mounts
+        return ConcatenatedSource([open_source(override, configs[0])], [0.0], configs[:1])
+    opened = [
+        _open(results, one.get("name", ""), one.get("path"), config)
+        for one, config in zip(recordings, configs, strict=True)
+    ]
+    return ConcatenatedSource(opened, [float(one.get("shift", 0.0)) for one in recordings], configs)
 
 
 def _open(results: RunResults, name: str, path: object, config: Config) -> Source:
@@ -136,27 +118,23 @@ def _open(results: RunResults, name: str, path: object, config: Config) -> Sourc
 class ConcatenatedSource:
     """Several sources one after the other as one source.
 
-    shifts  seconds that are added to the stamps of each
-    mounts  of the lidars of each, by number, which their scans state then; None or missing: as they are
+    shifts   seconds that are added to the stamps of each
+    configs  settings of the lidars with which the scans of each were used
     """
 
-    def __init__(
-        self, sources: Sequence[Source], shifts: Sequence[float], mounts: Sequence[Sequence[se2.Pose | None]]
-    ) -> None:
+    def __init__(self, sources: Sequence[Source], shifts: Sequence[float], configs: Sequence[Config]) -> None:
         self.name = ", ".join(source.name for source in sources)
         self.report = SourceReport()
-        self._sources, self._shifts, self._mounts = sources, shifts, mounts
+        self._sources, self._shifts, self._configs = sources, shifts, configs
 
     def __len__(self) -> int:
         return sum(len(source) for source in self._sources)
 
     def __iter__(self) -> Iterator[Message]:
         self.report = SourceReport()
-        for source, shift, mounts in zip(self._sources, self._shifts, self._mounts, strict=True):
-            for message in source:
-                if isinstance(message, Scan) and message.lidar < len(mounts):
-                    mount = mounts[message.lidar]
-                    message = message if mount is None else replace(message, mount=mount)
+        for source, shift, config in zip(self._sources, self._shifts, self._configs, strict=True):
+            for read in source:
+                message = as_used(read, config)
                 yield replace(message, stamp=message.stamp + shift) if shift else message
             self._add_to_report(source.report)
 

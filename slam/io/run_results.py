@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.immutable import immutable
 
-from ..config import Config, config_to_toml, load_config
+from ..config import Config, config_to_toml, load_config, validated_config
 from ..errors import MapError, first_line
 from ..events import Finished
 from ..geometry.segments import Floats
@@ -51,20 +51,27 @@ class RunResults:
         """Read the settings of the run. Raises ConfigurationError if that is not possible."""
         return load_config(self.path / CONFIG)
 
-    def config_as_used(self) -> Config:
-        """Read the settings with which the scans of `open_recording` are placed as in the run.
+    def recordings(self) -> list[dict[str, Any]]:
+        """Return what the summary states of each recording; a summary of older versions is that of the only one."""
+        single = {"name": self.summary.get("recording", ""), "path": self.summary.get("recording_path")}
+        return self.summary.get("recordings") or [single]
 
-        They have the delays of the lidars that the run has found, and no mounts if the scans state them: as
-        `open_recording` returns them, except those of results of older versions. Raises ConfigurationError.
+    def settings_as_used(self, recording: Mapping[str, Any]) -> Config:
+        """Return the settings with which a recording, an entry of `recordings`, was read and its scans were placed.
+
+        Results of older versions state some of them only. Raises ConfigurationError.
         """
-        config = self.config()
-        found = {"lidar": self.summary.get("timing"), "second_lidar": self.summary.get("second_timing")}
-        for number, (name, timing) in enumerate(found.items()):
-            lidar, delay = config.of_lidar(number), (timing or {}).get("compensated_delay")
-            if lidar.delay is None and isinstance(delay, float):
-                config = config.model_copy(update={name: lidar.model_copy(update={"delay": delay})})
-        recordings = self.summary.get("recordings") or [{}]
-        return config.without_mounts() if all(one.get("mounts") is not None for one in recordings) else config
+        if "settings" in recording:
+            return validated_config(recording["settings"], f"{self.path / SUMMARY}: settings of a recording")
+        data, stated = self.config().model_dump(), recording.get("mounts") or []
+        mounts = stated if isinstance(stated, list) else [stated]
+        for number, (lidar, times) in enumerate((("lidar", "timing"), ("second_lidar", "second_timing"))):
+            delay = (self.summary.get(times) or {}).get("compensated_delay")
+            if data[lidar]["delay"] is None and isinstance(delay, float):
+                data[lidar]["delay"] = delay
+            if number < len(mounts):
+                data[lidar]["mount"] = mounts[number]
+        return validated_config(data, f"{self.path / SUMMARY}: mounts of a recording")
 
     def mounts(self) -> Floats:
         """Return the mounts (k, 3) of the lidars; one at the origin of the base if they are unknown.

@@ -61,8 +61,12 @@ class StoredSession:
     @property
     def last_mount(self) -> tuple[float, float, float] | None:
         """Mount of the first lidar in the last recording if it was set or found; None if the scans state it."""
-        mounts = self.recordings[-1].mounts if self.recordings else None
-        return mounts[0] if mounts else None
+        if not self.recordings:
+            return None
+        last = self.recordings[-1]
+        if last.settings is not None:
+            return last.settings.lidar.mount
+        return last.mounts[0] if last.mounts else None
 
     @property
     def first_pose(self) -> se2.Pose:

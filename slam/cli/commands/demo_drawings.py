@@ -21,7 +21,7 @@ def draw_grid(path: Path, session: Path) -> None:
 
     results = read_run_results(session)
     grid = OccupancyGrid(GRID_RESOLUTION)
-    grid.add_all(place_scans(open_recording(results, None), results.trajectory, results.config_as_used()))
+    grid.add_all(place_scans(open_recording(results, None), results.trajectory))
     picture = path.with_suffix(".pgm")
     write_pgm(picture, grid.occupancy(Thresholds()))
     with Image.open(picture) as image:

@@ -113,22 +113,18 @@ def _warn_if_unrelated(trajectory: Path, true: Path, unrelated: bool) -> None:
 
 
 def _fit_figures(results: Path, path: Trajectory, relations: Relations, recording: Path) -> dict[str, float]:
-    """Return how well the scans of a recording fit; of `results` of a run, with its settings and mounts."""
+    """Return how well the scans of a recording fit; of `results` of a run, with its settings."""
     import drivers
 
-    from ...config import Config
+    from ...config import LidarConfig
     from ...evaluation.relation_fit import compare_fits
     from ...io.recordings import open_recording
     from ...io.run_results import read_run_results
     from ...preprocessing.deskew import lidar_mount
 
-    if results.is_dir():
-        run = read_run_results(results)
-        source, config = open_recording(run, str(recording)), run.config_as_used()
-    else:
-        source, config = drivers.open(recording), Config()
+    source = open_recording(read_run_results(results), str(recording)) if results.is_dir() else drivers.open(recording)
     scans = (message for message in source if isinstance(message, drivers.Scan) and not message.lidar)
-    mounted = (replace(scan, mount=lidar_mount(scan, config.lidar)) for scan in scans)
+    mounted = (replace(scan, mount=lidar_mount(scan, LidarConfig())) for scan in scans)
     return compare_fits(path, relations, mounted).figures()
 
 

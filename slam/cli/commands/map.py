@@ -172,5 +172,5 @@ def _scans(session: RunResults, recording: str | None) -> Iterator[PlacedScan]:
         kept = place_stored_scans(stored, session.trajectory, lidars, MAX_COMPARED)
     source = open_recording(session, recording)
     messages = progress(source, len(source), source.name)
-    scans = place_scans(messages, session.trajectory, session.config_as_used())
+    scans = place_scans(messages, session.trajectory)
     return checked_scans(scans, kept, session.path, source.name)

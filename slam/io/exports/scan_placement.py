@@ -8,11 +8,12 @@ import numpy as np
 
 from drivers import se2
 from drivers.immutable import immutable
-from drivers.messages import Message, Odometry, Scan, on_clock_of_first
+from drivers.messages import Message, Odometry, Scan
 
-from ...config import Config
+from ...config import Config, LidarConfig
 from ...geometry.segments import Floats
 from ...odometry.history import OdometryHistory
+from ..scan_settings import as_used
 from ..tum import STAMP_TOLERANCE, Trajectory
 
 
@@ -30,10 +31,12 @@ class PlacedScan:
     points: Floats
 
 
-def place_scans(messages: Iterable[Message], trajectory: Trajectory, config: Config) -> Iterator[PlacedScan]:
+def place_scans(
+    messages: Iterable[Message], trajectory: Trajectory, config: Config | None = None
+) -> Iterator[PlacedScan]:
     """Yield the scans among `messages` within the time of `trajectory`, de-skewed along it, in the map.
 
-    Ranges outside the limits of the lidar's settings and of the scan are left out, as during SLAM.
+    With `config`, the settings of the lidars are applied, as during SLAM; without it, this was done (`open_recording`).
     """
     from ...preprocessing.deskew import deskew, lidar_mount, sweep_middle  # only here: most exports place no scans
 
@@ -42,15 +45,12 @@ def place_scans(messages: Iterable[Message], trajectory: Trajectory, config: Con
         path.add(Odometry(stamp, pose))
     first, last = trajectory.stamps[[0, -1]] + np.array([-STAMP_TOLERANCE, STAMP_TOLERANCE])
     for message in messages:
-        scan = on_clock_of_first(message, config.second_lidar_delay)
+        scan = message if config is None else as_used(message, config)
         if not isinstance(scan, Scan) or not first <= sweep_middle(scan) <= last:
             continue
-        lidar = config.of_lidar(scan.lidar)
-        mount = lidar_mount(scan, lidar)
-        sweep = deskew(scan, path, mount, lidar.range_bias)
-        usable = (scan.ranges >= max(lidar.range_min, scan.range_min)) & (
-            scan.ranges <= min(lidar.range_max, scan.range_max)
-        )  # False for NaN
+        mount = lidar_mount(scan, LidarConfig())
+        sweep = deskew(scan, path, mount)
+        usable = np.isfinite(sweep.ranges)
         ranges, bearings = sweep.ranges[usable], sweep.bearings[usable]
         pose = se2.compose(path.at(sweep.stamp), mount)
         points = np.column_stack([ranges * np.cos(bearings), ranges * np.sin(bearings)])

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, SerializerFunctionWrapHandler, model_serializer
+from pydantic import Field, SerializerFunctionWrapHandler, field_serializer, model_serializer
 
 from drivers.messages import Odometry
 
+from ...config import Config
 from ...errors import MapError
 from ...estimation.tracking_checkpoint import Anchor, TrackingCheckpoint
 from ...graph.factors import GraphState
@@ -41,8 +42,9 @@ class Recording(Record):
     shift        seconds added to its stamps so that they follow those of the recording before it
     first, last  first and last stamp after the shift, seconds
     recorded_stamps  stamp as read -> stamp as recorded, without the shift, seconds, for those that were restored
-    mounts       of the lidars, by number, if they were set or found, and None for one that the scans state; without a
-                 list for sessions of older versions
+    settings     as used: those of the lidars, with what was found of them, and the topic of odometry; a mount is None
+                 if the scans state it. None for sessions of older versions
+    mounts       only of sessions of older versions: of the lidars, by number, None for one that the scans state
     """
 
     name: str
@@ -51,14 +53,19 @@ class Recording(Record):
     first: Finite
     last: Finite
     recorded_stamps: dict[Finite, Finite] = Field(default_factory=dict)
+    settings: Config | None = None
     mounts: list[Pose | None] | None = None
+
+    @field_serializer("settings")
+    def _of_recording(self, settings: Config | None) -> dict[str, Any] | None:
+        return None if settings is None else settings.of_recording()
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields; `recorded_stamps`, which few recordings have, and `mounts` only if there are any."""
+        """Return the fields; `recorded_stamps`, `settings` and `mounts`, which not all recordings have, only if set."""
         fields: dict[str, Any] = serialize(self)
         empty = {"recorded_stamps"} if not self.recorded_stamps else set()
-        empty |= {"mounts"} if self.mounts is None else set()
+        empty |= {name for name in ("settings", "mounts") if getattr(self, name) is None}
         return {name: value for name, value in fields.items() if name not in empty}
 
 

@@ -183,7 +183,8 @@ def test_what_a_recording_shows_is_no_setting_of_its_refined_map(wclm: Any, monk
     assert result.exit_code == 0, result.output
     results = read_run_results(Path("room"))
     assert results.config() == Config()
-    assert results.config_as_used().lidar.delay == 0.01
+    (recording,) = results.recordings()
+    assert results.settings_as_used(recording).lidar.delay == 0.01
     assert results.summary["lidars"] == [list(Simulation("room").mount)]
 
 

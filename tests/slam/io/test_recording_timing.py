@@ -204,7 +204,7 @@ def test_a_device_is_mounted_as_in_the_session_if_nothing_else_states_it(
     session = cast(StoredSession, SimpleNamespace(last_mount=(0.1, 0.0, 3.0)))
     devices = parse_devices(f"rplidar:/dev/ttyUSB0{spec}")
     live = LiveInput(devices, None, None, None, RunControls(), earlier=session)
-    assert live.resolve(Config()).mounts() == [used]
+    assert live.resolve(Config()).lidar.mount == used
     stated = Config(lidar=LidarConfig(mount=(0.0, 0.0, 1.0)))
     assert live.resolve(stated) == stated
     assert ("heading 171.9 degrees, as in the session" in capsys.readouterr().err) == (used is not None)
@@ -248,15 +248,15 @@ def test_the_mount_of_the_session_is_used_if_nothing_else_states_it(tmp_path: Pa
         for message in Simulation("room", duration=2.0):
             writer.write(replace(message, mount=None) if isinstance(message, Scan) else message)
     run_input = RecordingInput(drivers.open(path), str(path), cast(StoredSession, session))
-    assert run_input.resolve(Config()).mounts() == [(0.1, 0.0, 3.0)]
+    assert run_input.resolve(Config()).lidar.mount == (0.1, 0.0, 3.0)
     facts = run_input.facts()
     used = "lidar mounted at x 0.100 m, y 0.000 m, heading 171.9 degrees, as in the session, as no mount is stated"
     assert facts["interpretations"] == [used]
     assert facts["doubts"] == []
     stated = Config(lidar=LidarConfig(mount=(0.0, 0.0, 1.0)))
-    assert run_input.resolve(stated).mounts() == [(0.0, 0.0, 1.0)]
+    assert run_input.resolve(stated).lidar.mount == (0.0, 0.0, 1.0)
     other = RecordingInput(Simulation("room", duration=1.0), "sim:room", cast(StoredSession, session))
-    assert other.resolve(Config()).mounts() == [None]
+    assert other.resolve(Config()).lidar.mount is None
 
 
 def test_the_mount_that_is_found_of_a_second_lidar_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -264,10 +264,11 @@ def test_the_mount_that_is_found_of_a_second_lidar_is_used(monkeypatch: pytest.M
     monkeypatch.setattr(RecordingTiming, "of", lambda *_: RecordingTiming())
     monkeypatch.setattr(RecordingTiming, "of_second", lambda *_: turned)
     config, *_ = timed(Simulation("room"), Config())
-    assert config.mounts() == [None]
+    assert config.lidar.mount is None
     assert config.second_lidar.mount == (0.0, 0.0, 3.0)
     stated = Config(second_lidar=SecondLidarConfig(topic="/rear", mount=(0.1, 0.0, 1.0)), lidar=LidarConfig(topic="/a"))
-    assert timed(Simulation("room"), stated)[0].mounts() == [None, (0.1, 0.0, 1.0)]
+    config, *_ = timed(Simulation("room"), stated)
+    assert (config.lidar.mount, config.second_lidar.mount) == (None, (0.1, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(("kept", "readings"), [(surveyed_recording.MAX_KEPT_BYTES, 1), (0, 2)])
