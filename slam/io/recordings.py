@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import drivers
 from drivers.messages import Message, Odometry, Source, SourceReport
@@ -91,25 +91,35 @@ def has_recording(results: RunResults) -> bool:
 def open_recording(results: RunResults, override: str | None = None) -> Source:
     """Open the recording of a run, or `override`, an argument of `drivers.open`.
 
-    The recordings of a continued or merged session are opened as one source. Scans are as they were used (see
-    `scan_settings`), those of `override` as those of the first recording. Raises MapError if the summary does not name
-    the recording or the recording does not exist any more, RecordingError if `override` cannot be opened.
+    The recordings of a continued or merged session are opened as one source, and `override` takes the place of the one
+    that does not exist any more. Scans are as they were used (see `scan_settings`). Raises MapError if a recording is
+    missing, or `override` could be several ones, RecordingError if one cannot be opened.
     """
     recordings = results.recordings()
-    configs = [results.settings_as_used(one) for one in recordings]
-    if override is not None:
-        return ConcatenatedSource([open_source(override, configs[0])], [0.0], configs[:1])
-    opened = [
-        _open(results, one.get("name", ""), one.get("path"), config)
-        for one, config in zip(recordings, configs, strict=True)
-    ]
+    missing = [one for one in recordings if not _exists(one.get("path"))]
+    replaced = (missing if len(recordings) > 1 else recordings) if override is not None else []
+    if override is not None and len(replaced) != 1:
+        lost = "none" if not missing else str(len(missing))
+        raise MapError(
+            f"{results.path}: --recording FILE takes the place of one missing recording, but {lost} of its "
+            f"{len(recordings)} recordings {'is' if len(missing) < 2 else 'are'} missing"
+        )
+    opened, configs = [], [results.settings_as_used(one) for one in recordings]
+    for one, config in zip(recordings, configs, strict=True):
+        opened.append(open_source(override, config) if override and one in replaced else _open(results, one, config))
     return ConcatenatedSource(opened, [float(one.get("shift", 0.0)) for one in recordings], configs)
 
 
-def _open(results: RunResults, name: str, path: object, config: Config) -> Source:
+def _exists(path: object) -> bool:
+    return isinstance(path, str) and (path.startswith(SIMULATION) or Path(path).exists())
+
+
+def _open(results: RunResults, recording: Mapping[str, Any], config: Config) -> Source:
+    path = recording.get("path")
     if not isinstance(path, str):
+        name = recording.get("name", "")
         raise MapError(f"{results.path}: does not say where its recording {name} is; name it with --recording FILE")
-    if not path.startswith(SIMULATION) and not Path(path).exists():
+    if not _exists(path):
         raise MapError(f"{results.path}: its recording {path} does not exist any more; name it with --recording FILE")
     # A foreign summary must not open devices: an absolute path is never read as the specification of one.
     return open_source(absolute_recording(path), config)

@@ -114,16 +114,21 @@ def _warn_if_unrelated(trajectory: Path, true: Path, unrelated: bool) -> None:
 
 def _fit_figures(results: Path, path: Trajectory, relations: Relations, recording: Path) -> dict[str, float]:
     """Return how well the scans of a recording fit; of `results` of a run, with its settings."""
-    import drivers
+    from drivers.messages import Scan
 
-    from ...config import LidarConfig
+    from ...config import Config, LidarConfig
     from ...evaluation.relation_fit import compare_fits
-    from ...io.recordings import open_recording
+    from ...io.recordings import open_source
     from ...io.run_results import read_run_results
+    from ...io.scan_settings import as_used
     from ...preprocessing.deskew import lidar_mount
 
-    source = open_recording(read_run_results(results), str(recording)) if results.is_dir() else drivers.open(recording)
-    scans = (message for message in source if isinstance(message, drivers.Scan) and not message.lidar)
+    config = Config()
+    if results.is_dir():
+        run = read_run_results(results)
+        config = run.settings_as_used(run.recordings()[0])
+    messages = (as_used(message, config) for message in open_source(recording, config))  # on the clock of the relations
+    scans = (message for message in messages if isinstance(message, Scan) and not message.lidar)
     mounted = (replace(scan, mount=lidar_mount(scan, LidarConfig())) for scan in scans)
     return compare_fits(path, relations, mounted).figures()
 

@@ -13,7 +13,7 @@ from drivers.messages import Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import Simulation
 from slam.config import Config, LidarConfig, OdometryConfig, SecondLidarConfig, config_to_toml
-from slam.errors import ConfigurationError
+from slam.errors import ConfigurationError, MapError
 from slam.io.json_files import to_json_types
 from slam.io.output_dir import CONFIG
 from slam.io.recordings import open_recording, recording_to_reopen
@@ -112,6 +112,26 @@ def test_delays_of_older_versions_are_those_that_the_run_has_found_or_set(tmp_pa
     assert found.settings_as_used({}).second_lidar_delay == pytest.approx(0.1)
     found.summary.update(timing=None, second_timing={"compensated_delay": "late"})
     assert found.settings_as_used({}).lidar.delay is None
+
+
+def test_a_recording_that_was_moved_has_the_shift_of_its_stamps(tmp_path: Path) -> None:
+    usual = scans(results(tmp_path, {}))
+    moved = open_recording(results(tmp_path, {"path": "/gone.mcap", "shift": 10.0}), ROOM)
+    stamps = [message.stamp for message in moved if isinstance(message, Scan)]
+    assert stamps == [scan.stamp + 10.0 for scan in usual]
+
+
+def test_another_file_takes_the_place_of_the_recording_that_is_missing(tmp_path: Path) -> None:
+    here, gone = {"shift": 0.0}, {"path": "/gone.mcap", "shift": 10.0}
+    moved = open_recording(results(tmp_path, here, gone), ROOM)
+    both = scans(results(tmp_path, here, here | {"shift": 10.0}))
+    assert [message.stamp for message in moved if isinstance(message, Scan)] == [scan.stamp for scan in both]
+    for recordings, count in (
+        ((here, here), "none of its 2 recordings is"),
+        ((gone, gone), "2 of its 2 recordings are"),
+    ):
+        with pytest.raises(MapError, match=f"the place of one missing recording, but {count} missing"):
+            open_recording(results(tmp_path, *recordings), ROOM)
 
 
 def test_a_replay_is_opened_again_as_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
