@@ -157,11 +157,17 @@ class MappedRecording:
     def save(self, directory: Path | str, *, overwrite: bool = False) -> None:
         """Write the output directory, as `wclm run --no-review` does: all commands read it. See `save_run`."""
         from .io.sessions import Recording
+        from .io.sessions.records import to_pose
 
         first, last = float(self.stamps[0]), float(self.stamps[-1])
-        stamps, used = self.source.report.recorded_stamps, self.slam.config
         recording = Recording(
-            name=self.name, path=self.reopen, first=first, last=last, recorded_stamps=stamps, settings=used
+            name=self.name,
+            path=self.reopen,
+            first=first,
+            last=last,
+            recorded_stamps=self.source.report.recorded_stamps,
+            settings=self.slam.config,
+            lidars=[to_pose(mount) for mount in self.slam.lidar_mounts],
         )
         save_run(
             self.slam,

@@ -51,6 +51,7 @@ def save_run(
     cannot be written.
     """
     from .io.sessions import Recording, write_session
+    from .io.sessions.records import to_pose
     from .visualisation.report_page import write_page
 
     earlier = pipeline.session.recordings
@@ -58,7 +59,8 @@ def save_run(
     driven = Trajectory(finished.stamps[own], finished.poses[own])
     first, last = float(driven.stamps[0]), float(driven.stamps[-1])
     readings = sum(np.count_nonzero(history.stamps >= first) for history in pipeline.session.odometry)
-    recording = recording or Recording(name=name, path=None, first=first, last=last)
+    lidars = [to_pose(mount) for mount in pipeline.lidar_mounts]
+    recording = recording or Recording(name=name, path=None, first=first, last=last, lidars=lidars)
     session = replace(pipeline.session, recordings=[*earlier, recording])
     saved = session.recordings if pipeline.extends_map else [recording]
     summary = summarise(
@@ -70,7 +72,7 @@ def save_run(
         duration=driven.duration,
         path_length=driven.length,
     ) | {
-        "lidars": [mount.tolist() for mount in pipeline.lidar_mounts],
+        "lidars": lidars,
         "recordings": [one.model_dump() for one in saved],
         **(facts or {}),
     }

@@ -137,9 +137,10 @@ class InputStatistics:
         elif isinstance(message, Scan):
             self.scans += 1
 
-    def recording(self, run_input: RunInput, config: Config) -> Recording:
-        """Return the entry of the recording in a session; `config` are the settings as used."""
+    def recording(self, run_input: RunInput, config: Config, mounts: Sequence[se2.Pose]) -> Recording:
+        """Return the entry of the recording in a session; `config` and `mounts` of the lidars are those used."""
         from ..io.sessions import Recording
+        from ..io.sessions.records import to_pose
 
         first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
         return Recording.model_construct(
@@ -150,6 +151,7 @@ class InputStatistics:
             last=last,
             recorded_stamps=run_input.report.recorded_stamps,
             settings=config,
+            lidars=[to_pose(mount) for mount in mounts],
         )
 
     @property

@@ -126,7 +126,7 @@ class RunWriter:
             seed=self.seed,
             times=times,
         )
-        session.recordings.append(self.statistics.recording(self.run_input, config))
+        session.recordings.append(self.statistics.recording(self.run_input, config, mounts))
         recordings = session.recordings if extended else session.recordings[-1:]
         return summary | {
             "lidars": [mount.tolist() for mount in mounts],

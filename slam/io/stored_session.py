@@ -15,6 +15,7 @@ from features import LearnedNoise
 from ..config import Config
 from ..estimation.refinement import ScanHistory, build_scan_history
 from ..estimation.slam_state import SlamState
+from ..geometry.segments import Floats
 from ..odometry.history import OdometryHistory
 from ..preprocessing.preprocessor import ProcessedScan
 from .recorded_stamps import as_read
@@ -67,6 +68,11 @@ class StoredSession:
         if last.settings is not None:
             return last.settings.lidar.mount
         return last.mounts[0] if last.mounts else None
+
+    def lidars_at(self, stamp: float, unknown: Floats) -> Floats:
+        """Return the positions (k, 2) of the lidars on the base in the recording at a stamp; `unknown` without one."""
+        recording = next((one for one in reversed(self.recordings) if one.first <= stamp), None)
+        return unknown if recording is None or not recording.lidars else np.array(recording.lidars)[:, :2]
 
     @property
     def first_pose(self) -> se2.Pose:

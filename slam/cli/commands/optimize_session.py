@@ -97,7 +97,7 @@ def optimize_recording(
             run_input, finished, statistics, notices.texts, None, seed=None, times=RunTimes(busy, took)
         ) | {"lidars": [mount.tolist() for mount in slam.lidar_mounts]}
         session = slam.session
-        session.recordings.append(statistics.recording(run_input, slam.config))
+        session.recordings.append(statistics.recording(run_input, slam.config, slam.lidar_mounts))
         started = time.perf_counter()
         mapped = _Mapped(recording, session, setup.config, summary)
         summary = _optimise(directory, mapped, started, review=review, picture=picture)

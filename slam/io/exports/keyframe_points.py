@@ -56,7 +56,7 @@ def place_stored_scans(
 ) -> Iterator[PlacedScan]:
     """Yield the returns of the scans that a session keeps, on the finished `trajectory`, which has a pose at each scan.
 
-    lidars     (k, 2) positions of the lidars on the base
+    lidars     (k, 2) positions of the lidars on the base, if the session states none
     max_count  place at most as many scans, or few more, spread over the drive; by default all
     """
     path = OdometryHistory()
@@ -66,7 +66,8 @@ def place_stored_scans(
     step = 1 if max_count is None else max(1, len(rows) // max_count)
     for row in rows[::step]:
         scan = session.scans[row]
-        yield from KeyframePoints.within(scan.stamp, scan.features.points.xy, lidars).placed(path.at(scan.stamp))
+        own = session.lidars_at(scan.stamp, lidars)
+        yield from KeyframePoints.within(scan.stamp, scan.features.points.xy, own).placed(path.at(scan.stamp))
 
 
 def _distances(points: Floats, lidars: Floats) -> Floats:

@@ -68,11 +68,11 @@ class LiveGrid:
             self._keyframes.append(keyframe)
 
     def add_session(self, session: StoredSession, lidars: Floats) -> None:
-        """Add the keyframes of a session that the run continues; lidars (k, 2) in the base's frame."""
+        """Add the keyframes of a session that the run continues; `lidars` (k, 2) on the base, if it states none."""
         poses = session.slam_state.mapper.keyframe_poses
         for keyframe, row in enumerate(session.scan_history().keyframes.tolist()):
             scan = session.scans[row]
-            self.add(scan.stamp, scan.features.points.xy, lidars, poses[keyframe])
+            self.add(scan.stamp, scan.features.points.xy, session.lidars_at(scan.stamp, lidars), poses[keyframe])
 
     def move(self, poses: Floats) -> None:
         """Set the poses (k, 3) of the first k keyframes."""

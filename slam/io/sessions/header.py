@@ -44,6 +44,7 @@ class Recording(Record):
     recorded_stamps  stamp as read -> stamp as recorded, without the shift, seconds, for those that were restored
     settings     as used: those of the lidars, with what was found of them, and the topic of odometry; a mount is None
                  if the scans state it. None for sessions of older versions
+    lidars       mount of each lidar whose scans were used, also as the scans state it; None for older versions
     mounts       only of sessions of older versions: of the lidars, by number, None for one that the scans state
     """
 
@@ -54,6 +55,7 @@ class Recording(Record):
     last: Finite
     recorded_stamps: dict[Finite, Finite] = Field(default_factory=dict)
     settings: Config | None = None
+    lidars: list[Pose] | None = None
     mounts: list[Pose | None] | None = None
 
     @field_serializer("settings")
@@ -62,10 +64,10 @@ class Recording(Record):
 
     @model_serializer(mode="wrap")
     def _without_empty(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Return the fields; `recorded_stamps`, `settings` and `mounts`, which not all recordings have, only if set."""
+        """Return the fields; those that not all recordings have only if there is something in them."""
         fields: dict[str, Any] = serialize(self)
         empty = {"recorded_stamps"} if not self.recorded_stamps else set()
-        empty |= {name for name in ("settings", "mounts") if getattr(self, name) is None}
+        empty |= {name for name in ("settings", "lidars", "mounts") if getattr(self, name) is None}
         return {name: value for name, value in fields.items() if name not in empty}
 
 

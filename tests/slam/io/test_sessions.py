@@ -18,9 +18,11 @@ from slam.errors import MapError
 from slam.estimation.slam_state import SlamState
 from slam.geometry.roughness import Roughness
 from slam.graph.graph_storage import graph_state
+from slam.io.exports import place_stored_scans
 from slam.io.output_dir import SESSION
 from slam.io.sessions import Recording, StoredSession, is_session, read_session
 from slam.io.sessions.session import HEADER, RECENT_KEYFRAMES, SCANS
+from slam.io.tum import Trajectory
 from slam.loop_closure.decision import LoopMatch
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis, OldPlace
 from slam.mapping.convergence import converge
@@ -54,6 +56,21 @@ def test_estimate_is_read_back(written: tuple[StoredSession, Path]) -> None:
     converge(mapper)
     for before, after in zip(estimate(expected), estimate(mapper), strict=True):
         np.testing.assert_allclose(after, before, rtol=1e-6, atol=1e-6)  # both are a micrometre from the optimum
+
+
+def test_beams_begin_at_the_lidars_of_their_recording(intact: Path, tmp_path: Path) -> None:
+    session = read_session(intact)
+    middle = session.scans[len(session.scans) // 2].stamp
+    parts = {0.0: [(0.1, 0.0, 0.0)], middle: [(-0.2, 0.0, 3.0)]}
+    session.recordings[:] = [ROOM.model_copy(update={"first": first, "lidars": at}) for first, at in parts.items()]
+    write_directory(tmp_path / "parts", session)
+    restored = read_session(tmp_path / "parts")
+    stamps, unknown = np.array([scan.stamp for scan in restored.scans]), np.ones((1, 2))
+    standing = Trajectory(stamps, np.zeros((len(stamps), 3)))
+    for scan in place_stored_scans(restored, standing, unknown):
+        assert scan.origin.tolist() == [-0.2 if scan.stamp >= middle else 0.1, 0.0]
+    restored.recordings[:] = [ROOM]  # as in sessions of older versions
+    assert next(place_stored_scans(restored, standing, unknown)).origin.tolist() == [1.0, 1.0]
 
 
 def test_slam_state_is_read_back(written: tuple[StoredSession, Path]) -> None:
