@@ -109,11 +109,11 @@ def mirrored(scan: Scan) -> Scan:
 
 
 def delay_odometry(message: Message, seconds: float) -> Message:
-    """Return the message on the lidar's clock: stamps of odometry and gyroscope are moved by the delay, seconds.
+    """Return the message on the lidar's clock: stamps of odometry, gyroscope and true poses are moved by the delay.
 
-    The stamps of scans stay, and with them whatever refers to a scan by its stamp.
+    seconds  by which the stamps of scans are late; they stay, and with them whatever refers to a scan by its stamp
     """
-    moved = seconds and isinstance(message, Odometry | YawRate)
+    moved = seconds and isinstance(message, Odometry | YawRate | GroundTruth)
     return replace(message, stamp=message.stamp + seconds) if moved else message
 
 

@@ -16,7 +16,7 @@ from drivers.messages import GroundTruth, Odometry, Source
 
 from .config import Config
 from .errors import MapError
-from .evaluation.metrics import score_reference
+from .evaluation.metrics import score_true_path
 from .events import Finished, Sink
 from .formatting import counted
 from .geometry.segments import Floats
@@ -254,7 +254,7 @@ def run(
         name=source.name,
         finished=finished,
         odometry=odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3)),
-        truth=_aligned(finished, truth),
+        truth=_true_path(finished, truth, used),
         slam=slam,
         source=source,
         reopen=recording_to_reopen(str(recording)),
@@ -276,13 +276,9 @@ def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:
     return se2.compose(finished.poses[start], se2.between(poses[0], poses))
 
 
-def _aligned(finished: Finished, truth: Sequence[GroundTruth]) -> Trajectory | None:
+def _true_path(finished: Finished, truth: Sequence[GroundTruth], config: Config) -> Trajectory | None:
     """Return the true path in the map; None if there is none at the time of the path."""
     if not truth:
         return None
-    reference = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    try:
-        score = score_reference(Trajectory(finished.stamps, finished.poses), reference)
-    except MapError:
-        return None
-    return Trajectory(reference.stamps, se2.compose(se2.inverse(score.alignment), reference.poses))
+    stated = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
+    return score_true_path(Trajectory(finished.stamps, finished.poses), stated, config.lidar.delay)[1]

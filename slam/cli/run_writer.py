@@ -14,8 +14,8 @@ import numpy as np
 
 from drivers import se2
 
-from ..errors import MapError, first_line
-from ..evaluation.metrics import ReferenceScore, score_reference
+from ..errors import first_line
+from ..evaluation.metrics import ReferenceScore, score_true_path
 from ..events import Finished
 from ..geometry.segments import Floats
 from ..io.drives import split_drives
@@ -83,7 +83,7 @@ class RunWriter:
         """
         return_freed_memory()  # to write tables, libraries are loaded that need as much
         return_code_of_imports()
-        score = score_against_truth(finished, self.statistics)
+        score = score_against_truth(finished, self.statistics, slam.config)
         took = time.perf_counter() - self.started
         times = RunTimes(slam_seconds, took)
         extended, mounts = slam.extends_map, slam.lidar_mounts
@@ -165,15 +165,12 @@ def _write_session(session: StoredSession, place: Path) -> None:
         raise
 
 
-def score_against_truth(finished: Finished, statistics: InputStatistics) -> ReferenceScore | None:
+def score_against_truth(finished: Finished, statistics: InputStatistics, config: Config) -> ReferenceScore | None:
     """Score the path against the ground truth; return None if there is none for the time of the path."""
     if not statistics.truth:
         return None
     truth = Trajectory(np.array(statistics.truth_stamps), np.array(statistics.truth))
-    try:
-        return score_reference(Trajectory(finished.stamps, finished.poses), truth)
-    except MapError:  # no common time
-        return None
+    return score_true_path(Trajectory(finished.stamps, finished.poses), truth, config.lidar.delay)[0]
 
 
 def _draw(

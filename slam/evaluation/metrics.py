@@ -208,6 +208,22 @@ def score_reference(trajectory: Trajectory, reference: Trajectory, step: float =
     )
 
 
+def score_true_path(
+    path: Trajectory, truth: Trajectory, delay: float | None
+) -> tuple[ReferenceScore, Trajectory] | tuple[None, None]:
+    """Return the error of a path against the truth in its recording, and the true path in the map.
+
+    None if they have no common time. `delay` is that of the lidar (seconds), whose stamps the path has: the truth has
+    those of odometry, and is returned with those of the path.
+    """
+    truth = Trajectory(truth.stamps + (delay or 0.0), truth.poses)
+    try:
+        score = score_reference(path, truth)
+    except MapError:
+        return None, None
+    return score, Trajectory(truth.stamps, se2.compose(se2.inverse(score.alignment), truth.poses))
+
+
 def pair_by_time(
     first: Trajectory, second: Trajectory, tolerance: float = MAX_TIME_DIFFERENCE
 ) -> tuple[Indices, Indices]:

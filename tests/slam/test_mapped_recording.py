@@ -19,7 +19,8 @@ import slam
 from drivers import se2
 from drivers.messages import Scan
 from drivers.recordings.mcap import McapWriter
-from drivers.simulation import Simulation
+from drivers.simulation import LIDAR_MODELS, Simulation
+from slam.config import LidarConfig
 from slam.errors import SlamError
 from slam.io.exports import write_pgm
 from slam.io.recording_timing import UNKNOWN_MOUNT
@@ -45,6 +46,27 @@ def test_the_true_path_is_in_the_map_and_odometry_begins_with_the_path(mapped: s
     difference = se2.between(mapped.truth.at(mapped.stamps).poses, mapped.path)
     assert np.hypot(difference[:, 0], difference[:, 1]).max() < 0.02
     np.testing.assert_allclose(mapped.odometry[0], mapped.path[0], atol=1e-9)
+
+
+def test_a_late_lidar_is_as_accurate_as_one_in_time(wclm: Any, tmp_path: Path) -> None:
+    """The true path has the clock of odometry, and the path that of the lidar."""
+    drive = list(Simulation("room", seed=2, duration=10.0, lidar=LIDAR_MODELS["short"]))
+    for name, late in (("late", 0.25), ("in_time", 0.0)):
+        messages = (replace(m, stamp=m.stamp + late) if isinstance(m, Scan) else m for m in drive)
+        with McapWriter(tmp_path / f"{name}.mcap") as writer:
+            for message in sorted(messages, key=lambda message: message.stamp):
+                writer.write(message)
+        settings = ("--set", f"lidar.delay={late}")
+        assert wclm("run", f"{name}.mcap", "--out", name, "--no-review", *settings).exit_code == 0
+    errors = [
+        json.loads((tmp_path / name / "summary.json").read_text())["truth"]["ate_rmse"] for name in ("late", "in_time")
+    ]
+    assert errors[0] == pytest.approx(errors[1], abs=5e-4)
+    late_config = slam.Config(lidar=LidarConfig(delay=0.25))
+    mapped = slam.run(tmp_path / "late.mcap", late_config)
+    assert mapped.truth is not None
+    difference = se2.between(mapped.truth.at(mapped.stamps).poses, mapped.path)
+    assert np.hypot(difference[:, 0], difference[:, 1]).max() < 0.02
 
 
 def test_it_displays_itself_in_a_notebook(mapped: slam.MappedRecording) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import drivers
-from drivers.messages import Message, Odometry, Scan, delay_odometry
+from drivers.messages import GroundTruth, Message, Odometry, Scan, delay_odometry
 from drivers.recordings.rosbag import BagReader
 from drivers.simulation import WHEEL_MODELS, Simulation
 from drivers.timing.delay import estimate_delay
@@ -106,6 +106,7 @@ def test_odometry_is_moved_onto_the_clock_of_the_lidar() -> None:
     reading = next(message for message in office_drive() if isinstance(message, Odometry))
     assert delay_odometry(reading, 0.3).stamp == reading.stamp + 0.3
     assert delay_odometry(scan, 0.3) is scan
+    assert delay_odometry(GroundTruth(1.0, reading.pose), 0.3).stamp == 1.3  # which is on the clock of odometry
 
 
 def test_delay_of_a_public_recording_is_compensated_even_if_it_is_shorter_than_the_period_of_its_scans() -> None:
