@@ -69,6 +69,7 @@ class Slam:
     ) -> None:
         """Create an empty map, or continue a session.
 
+        config             settings; by default those of the session, if there is one
         refine             refine the whole map offline in `finish`
         keep_all_features  keep the features of scans in familiar places too, and of a robot that stands, so that the
                            session can be refined later; memory then grows with time. Implied by `refine`
@@ -86,7 +87,7 @@ class Slam:
         if refine and resumed is not None and (changes := fragile_changes(resumed.slam_state.mapper)):
             raise MapError(f"the session to continue has {changes}, which a refinement would drop")
         self._initial_pose = start if plan is None else None
-        self.config = config or Config()
+        self.config = config or (Config() if resumed is None else resumed.config_to_continue)
         self._refine, self._extends_map = refine, not frozen
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()

@@ -69,6 +69,12 @@ class StoredSession:
             return last.settings.lidar.mount
         return last.mounts[0] if last.mounts else None
 
+    @property
+    def config_to_continue(self) -> Config:
+        """Settings of a run that continues the session: if they state no mount, with that of the last recording."""
+        mount = self.last_mount
+        return self.config if mount is None or self.config.lidar.mount is not None else self.config.with_mount(mount)
+
     def lidars_at(self, stamp: float, unknown: Floats) -> Floats:
         """Return the positions (k, 2) of the lidars on the base in the recording at a stamp; `unknown` without one."""
         recording = next((one for one in reversed(self.recordings) if one.first <= stamp), None)

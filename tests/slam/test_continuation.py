@@ -13,14 +13,14 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
-from slam.config import Config, config_to_toml
+from slam.config import Config, LidarConfig, config_to_toml
 from slam.errors import MapError, MessageError
 from slam.evaluation.metrics import align
 from slam.events import EventRecorder, Finished, GraphInspected, Notice
 from slam.graph.isam2 import IncrementalSolver
 from slam.io.output_dir import CONFIG, SESSION
 from slam.io.run_results import read_run_results, write_results
-from slam.io.sessions import read_session, write_session
+from slam.io.sessions import Recording, read_session, write_session
 from slam.io.sessions.session import HEADER
 from slam.io.tum import Trajectory
 from slam.localisation.state import LocalisationStatus
@@ -57,6 +57,20 @@ def leave(slam: Slam, directory: Path) -> Path:
     (directory / CONFIG).write_text(config_to_toml(Config()))
     write_session(directory, slam.session)
     return directory
+
+
+def test_a_continued_run_has_the_settings_of_the_session_unless_others_are_given() -> None:
+    messages = drive("room", 1, 0.0, 2.0)
+    own, found = Config(lidar=LidarConfig(range_max=5.0)), (0.1, 0.0, 3.0)
+    slam = Slam(own)
+    for message in messages:
+        slam.add(message)
+    slam.finish()
+    assert Slam(resumed=slam.session.copy()).config == own
+    assert Slam(Config(), resumed=slam.session.copy()).config == Config()
+    session = slam.session.copy()  # a mount that was found is in no settings
+    session.recordings.append(Recording(name="a", path=None, first=0.0, last=2.0, settings=own.with_mount(found)))
+    assert Slam(resumed=session).config == own.with_mount(found)
 
 
 @pytest.fixture(scope="module")
