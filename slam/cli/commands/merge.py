@@ -106,6 +106,7 @@ def _summarise(name: str, joined: MergedSession, finished: Finished, seconds: fl
         duration=sum(one.last - one.first for one in session.recordings),
         path_length=sum(path_length(finished, one.first, one.last) for one in session.recordings),
         times=RunTimes(seconds, seconds),
+        warnings=joined.warnings,
     )
     return summary | {
         "slam": summary["slam"] | {"loops": loop_counts(decisions), "loop_decisions": decisions},

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from drivers.immutable import immutable
+from features.normal_limits import GROSS_LIMIT
 
 from ...errors import MapError
+from ...graph.range_bias import PRIOR_SIGMA, RangeBias
 from ...io.sessions import StoredSession
 from ...mapping.convergence import converge
 from ...mapping.manual_changes import fragile_changes
@@ -19,12 +22,14 @@ from .session_scans import drive_of, map_of
 class MergedSession:
     """Session merged from several, before refinement.
 
-    session  in the map frame of the first
-    added    name and location of the other sessions, in the order in which they were merged
+    session   in the map frame of the first
+    added     name and location of the other sessions, in the order in which they were merged
+    warnings  texts on sessions that contradict each other
     """
 
     session: StoredSession
     added: Sequence[tuple[str, Location]]
+    warnings: Sequence[str]
 
 
 def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSession:
@@ -41,6 +46,7 @@ def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSessi
         if changes := fragile_changes(session.slam_state.mapper):
             raise MapError(f"{name}: has {changes}, which merging would drop; merge before correcting")
         converge(session.slam_state.mapper)
+    warnings = different_ranges([(name, session.slam_state.mapper.graph.range_bias) for name, session in sessions])
     (_, merged), *remaining = sessions
     added: list[tuple[str, Location]] = []
     scanned = {name: drive_of(session) for name, session in remaining}
@@ -57,7 +63,22 @@ def merge_sessions(sessions: Sequence[tuple[str, StoredSession]]) -> MergedSessi
         except MapError as error:
             raise MapError(f"{name}: {error}") from error
         added.append((name, location))
-    return MergedSession(merged, added)
+    return MergedSession(merged, added, warnings)
+
+
+def different_ranges(biases: Sequence[tuple[str, RangeBias]]) -> list[str]:
+    """Return a text on each session whose range bias is clearly not that of the first, as the map has one only."""
+    (first, expected), *others = biases
+    texts = []
+    for name, bias in others:
+        difference, sigma = bias.metres - expected.metres, math.hypot(bias.sigma, expected.sigma)
+        if abs(difference) > max(GROSS_LIMIT * sigma, PRIOR_SIGMA):
+            compared = f"{abs(difference):.3f} ± {sigma:.3f} m {'longer' if difference > 0.0 else 'shorter'}"
+            texts.append(
+                f"{name}: its ranges are {compared} than those of {first}, so widths in the merged map are those of "
+                "neither: map it again with lidar.range_bias"
+            )
+    return texts
 
 
 def _check_recordings(sessions: Sequence[tuple[str, StoredSession]]) -> None:

@@ -27,6 +27,7 @@ from slam.estimation.map_view import map_features
 from slam.evaluation.benchmarks.relocalisation import split_halves
 from slam.evaluation.metrics import read_relations, score_reference, score_relations
 from slam.geometry.segments import Floats
+from slam.graph.range_bias import RangeBias
 from slam.io.map_json import read_map
 from slam.io.output_dir import CONFIG, RESULTS
 from slam.io.sessions import Recording, StoredSession, read_session, write_session
@@ -36,6 +37,7 @@ from slam.mapping.convergence import converge
 from slam.mapping.manual_changes import delete_wall
 from slam.offline.corrections.loops import LoopCorrector
 from slam.offline.map_merging import merge_sessions
+from slam.offline.map_merging.merge import different_ranges
 from slam.offline.map_merging.session_scans import drive_of, map_of
 from slam.offline.map_merging.transfer import clock_shift, shift_clock
 from slam.offline.optimisation import optimise
@@ -94,6 +96,18 @@ def read(sessions: dict[str, Path], *names: str) -> list[tuple[str, StoredSessio
 
 
 # Merged
+
+
+@pytest.mark.parametrize(
+    ("bias", "sigma", "told"), [(0.03, 0.001, True), (-0.03, 0.001, True), (0.009, 0.001, False), (0.03, 0.007, False)]
+)
+def test_lidars_of_clearly_different_range_biases_are_a_warning(bias: float, sigma: float, told: bool) -> None:
+    biases = [("old", RangeBias(0.0, 0.001)), ("same", RangeBias(0.002, 0.001)), ("new", RangeBias(bias, sigma))]
+    texts = different_ranges([*biases, ("unknown", RangeBias())])
+    direction = "longer" if bias > 0.0 else "shorter"
+    assert [
+        text.startswith(f"new: its ranges are 0.030 ± 0.001 m {direction} than those of old") for text in texts
+    ] == ([True] if told else [])
 
 
 @pytest.fixture(scope="module")
@@ -216,7 +230,8 @@ class FakeSession:
 
     @property
     def slam_state(self) -> SimpleNamespace:
-        return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, rooms=self.rooms))
+        graph = SimpleNamespace(range_bias=RangeBias())
+        return SimpleNamespace(mapper=SimpleNamespace(keyframe_count=1, rooms=self.rooms, graph=graph))
 
 
 @pytest.fixture
