@@ -17,6 +17,8 @@ SPIKE = "odometry jumps and is back at its next reading; left out"
 TOLERANCE = 0.2
 """Metres and radians that a reading may be off without being damaged: what a robot drives in a tenth of a second, by
 which stamps may be wrong."""
+MAX_SHARE = 0.1
+"""Share of the readings that are damaged at most: if more seem to be, odometry is wrong as a whole, as in its unit."""
 ACCELERATION = 10.0
 """m/s² that tyres can transmit to the floor."""
 TURN_ACCELERATION = 20.0
@@ -27,6 +29,7 @@ def without_spikes(messages: Iterable[Message], anomalies: AnomalyCounter) -> It
     """Yield messages, ordered by time, without such readings. A reading that may be one is held until the next one."""
     before: Odometry | None = None
     held: list[Message] = []  # from a suspicious reading on
+    readings = spikes = 0
     for message in messages:
         if not isinstance(message, Odometry):
             if held:
@@ -34,11 +37,14 @@ def without_spikes(messages: Iterable[Message], anomalies: AnomalyCounter) -> It
             else:
                 yield message
             continue
+        readings += 1
         if held:
             reading = held[0]
             assert before is not None
             assert isinstance(reading, Odometry)
-            if _is_spike(before, reading, message):
+            is_spike = _is_spike(before, reading, message)
+            spikes += is_spike
+            if is_spike and spikes - 1 <= MAX_SHARE * readings:
                 anomalies.correct(SPIKE)
                 del held[0]
             else:
@@ -55,18 +61,30 @@ def without_spikes(messages: Iterable[Message], anomalies: AnomalyCounter) -> It
 
 def _moves(before: Odometry, reading: Odometry) -> bool:
     """Return True if odometry moves farther than TOLERANCE."""
-    return max(_motion(before, reading)) > TOLERANCE
+    return max(math.hypot(*_shift(before, reading)), abs(_turn(before, reading))) > TOLERANCE
 
 
 def _is_spike(before: Odometry, reading: Odometry, after: Odometry) -> bool:
-    """Return True if the way over a reading is longer than that from the one before it to the one after it."""
+    """Return True if the way over a reading is longer than that from the one before it to the one after it.
+
+    The turn from one to the other is the sum of both turns: a robot that seems to turn on and on, as its headings have
+    another unit, does not turn back.
+    """
     times = (reading.stamp - before.stamp) * (after.stamp - reading.stamp)
-    to, back, direct = _motion(before, reading), _motion(reading, after), _motion(before, after)
-    limits = (max(TOLERANCE, 0.5 * acceleration * times) for acceleration in (ACCELERATION, TURN_ACCELERATION))
-    return any(0.5 * (to[i] + back[i] - direct[i]) > limit for i, limit in enumerate(limits))
+    shifts = [math.hypot(*_shift(*pair)) for pair in ((before, reading), (reading, after), (before, after))]
+    to, back = _turn(before, reading), _turn(reading, after)
+    detour, turned_back = shifts[0] + shifts[1] - shifts[2], abs(to) + abs(back) - abs(to + back)
+    return 0.5 * detour > max(TOLERANCE, 0.5 * ACCELERATION * times) or 0.5 * turned_back > max(
+        TOLERANCE, 0.5 * TURN_ACCELERATION * times
+    )
 
 
-def _motion(first: Odometry, second: Odometry) -> tuple[float, float]:
-    """Return the distance (metres) and the angle (radians) between two readings."""
-    x, y, turn = (second.pose - first.pose).tolist()
-    return math.hypot(x, y), abs(math.remainder(turn, 2.0 * math.pi))
+def _shift(first: Odometry, second: Odometry) -> tuple[float, float]:
+    """Return the differences of the positions of two readings, metres."""
+    x, y, _ = (second.pose - first.pose).tolist()
+    return x, y
+
+
+def _turn(first: Odometry, second: Odometry) -> float:
+    """Return the turn from one reading to another, in [-pi, pi]."""
+    return math.remainder(float(second.pose[2] - first.pose[2]), 2.0 * math.pi)
