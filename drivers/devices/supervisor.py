@@ -101,7 +101,7 @@ class Supervisor:
     prompt           True if messages are needed promptly, for which the port is read more often
 
     failure  error of the first start, if it failed: the requested device is not there. A device that has run once is
-             searched until it is back. Or the error of a byte capture
+             searched until it is back. If a byte capture is played, also the error of reading it
     """
 
     def __init__(

@@ -26,7 +26,10 @@ TURN_ACCELERATION = 20.0
 
 
 def without_spikes(messages: Iterable[Message], anomalies: AnomalyCounter) -> Iterator[Message]:
-    """Yield messages, ordered by time, without such readings. A reading that may be one is held until the next one."""
+    """Yield messages, ordered by time, without such readings.
+
+    From a reading that may be one on, messages are held until the next reading of odometry.
+    """
     before: Odometry | None = None
     held: list[Message] = []  # from a suspicious reading on
     readings = spikes = 0
@@ -61,28 +64,28 @@ def without_spikes(messages: Iterable[Message], anomalies: AnomalyCounter) -> It
 
 def _moves(before: Odometry, reading: Odometry) -> bool:
     """Return True if odometry moves farther than TOLERANCE."""
-    return max(math.hypot(*_shift(before, reading)), abs(_turn(before, reading))) > TOLERANCE
+    return max(_distance(before, reading), abs(_turn(before, reading))) > TOLERANCE
 
 
 def _is_spike(before: Odometry, reading: Odometry, after: Odometry) -> bool:
-    """Return True if the way over a reading is longer than that from the one before it to the one after it.
+    """Return True if a robot cannot drive or turn to a reading and back between the readings before and after it.
 
-    The turn from one to the other is the sum of both turns: a robot that seems to turn on and on, as its headings have
-    another unit, does not turn back.
+    Half of the detour over the reading is compared with a/2 t^2, where t^2 is the product of both intervals. The turn
+    without the detour is the sum of both turns: a robot that seems to turn on and on, as its headings have another
+    unit, does not turn back.
     """
-    times = (reading.stamp - before.stamp) * (after.stamp - reading.stamp)
-    shifts = [math.hypot(*_shift(*pair)) for pair in ((before, reading), (reading, after), (before, after))]
-    to, back = _turn(before, reading), _turn(reading, after)
-    detour, turned_back = shifts[0] + shifts[1] - shifts[2], abs(to) + abs(back) - abs(to + back)
-    return 0.5 * detour > max(TOLERANCE, 0.5 * ACCELERATION * times) or 0.5 * turned_back > max(
-        TOLERANCE, 0.5 * TURN_ACCELERATION * times
-    )
+    detour = _distance(before, reading) + _distance(reading, after) - _distance(before, after)
+    there, back = _turn(before, reading), _turn(reading, after)
+    turned_back = abs(there) + abs(back) - abs(there + back)
+    squared_time = (reading.stamp - before.stamp) * (after.stamp - reading.stamp)
+    too_far = 0.5 * detour > max(TOLERANCE, 0.5 * ACCELERATION * squared_time)
+    return too_far or 0.5 * turned_back > max(TOLERANCE, 0.5 * TURN_ACCELERATION * squared_time)
 
 
-def _shift(first: Odometry, second: Odometry) -> tuple[float, float]:
-    """Return the differences of the positions of two readings, metres."""
+def _distance(first: Odometry, second: Odometry) -> float:
+    """Return the distance between the positions of two readings, metres."""
     x, y, _ = (second.pose - first.pose).tolist()
-    return x, y
+    return math.hypot(x, y)
 
 
 def _turn(first: Odometry, second: Odometry) -> float:

@@ -110,21 +110,18 @@ class LidarMount:
 
     pose         [x, y, heading] in the base's frame; None if unknown
     upside_down  true if the lidar's z axis points down
+    tilt         angle between the lidar's plane and a horizontal one, radians; zero if it is negligible
     projection   (2, 2) of a tilted lidar, from directions in its plane to their horizontal parts in the frame of
-                 `pose`; None if the lidar is level
+                 `pose`; None if the lidar is level, or tilted too much for scans along the floor
     """
 
     pose: Pose | None = None
     upside_down: bool = False
+    tilt: float = 0.0
     projection: Floats | None = None
 
-    @property
-    def tilt(self) -> float:
-        """Angle between the lidar's plane and a horizontal one, radians."""
-        return 0.0 if self.projection is None else math.acos(min(1.0, abs(float(np.linalg.det(self.projection)))))
-
     def describe(self) -> list[str]:
-        """Return what is done with scans, as a lidar does not measure in a horizontal plane seen from above."""
+        """Return how scans are read of a lidar that is upside down or tilted, as lines of text."""
         lines = ["upside down by its transform: scans are mirrored"] if self.upside_down else []
         if self.projection is not None:
             tilt = f"tilted by {math.degrees(self.tilt):.1f} degrees by its transform"

@@ -216,8 +216,10 @@ class RosReader(RecordingReader):
             if stored.msgtype == LASER_SCAN:
                 with suppress(ValueError):  # counted on the final pass
                     message = decode(stored.data, LASER_SCAN, stored.encoding)
-                    candidates[stored.topic].add(scan_of(message, stored.received, LidarMount()))
-                    candidates[stored.topic].defect = contents.defect_of(message.header.frame_id)
+                    candidate = candidates[stored.topic]
+                    if not candidate.stamps:
+                        candidate.defect = contents.defect_of(message.header.frame_id)
+                    candidate.add(scan_of(message, stored.received, LidarMount()))
         return choose_scan_topic(list(candidates.values()))
 
     @cached_property

@@ -17,9 +17,9 @@ BASE_FRAMES = ("base_link", "base_footprint", "base")
 MAX_TRANSLATION = 1e6
 """Metres; longer transforms are invalid."""
 
-MIN_LEVEL, MAX_LEVEL = math.cos(math.radians(60.0)), math.cos(math.radians(1.0))
-"""Cosines of the tilts between which scans are projected: less changes ranges by less than their noise, and a lidar
-that is tilted more does not measure along the floor."""
+MIN_TILT, MAX_TILT = math.radians(1.0), math.radians(60.0)
+"""Tilts between which scans are projected: less changes ranges by less than their noise, and a lidar that is tilted
+more does not measure along the floor."""
 
 MOVED = 0.02
 """Metres, and about a degree as an element of a rotation, from which on a frame has moved."""
@@ -65,7 +65,7 @@ class TransformTree:
             if is_odometry_frame(parent):
                 continue
             first = self._parents.setdefault(child, link)
-            if first.parent == parent and not np.allclose(link.matrix, first.matrix, rtol=0.0, atol=MOVED):
+            if first.parent == parent and np.abs(link.matrix - first.matrix).max() > MOVED:
                 self._moving.add(child)
 
     def find_mount(self, frame: str, odometry_child: str | None) -> LidarMount:
@@ -145,7 +145,11 @@ class TransformTree:
         heading = float(np.arctan2(relative[1, 0], relative[0, 0]))
         mount = np.array([relative[0, 3], relative[1, 3], _without_pi(heading)])
         mount.flags.writeable = False
-        return LidarMount(mount, bool(relative[2, 2] < 0.0), _projection(relative[:3, :3], heading))
+        tilt = math.acos(min(1.0, abs(float(relative[2, 2]))))
+        if tilt < MIN_TILT:
+            return LidarMount(mount, bool(relative[2, 2] < 0.0))
+        projection = _projection(relative[:3, :3], heading) if tilt < MAX_TILT else None
+        return LidarMount(mount, bool(relative[2, 2] < 0.0), tilt, projection)
 
     def _from_root(self, frame: str) -> tuple[str, Floats]:
         """Return the root of a frame's tree, and the frame's pose in the root, a (4, 4) matrix."""
@@ -158,10 +162,8 @@ class TransformTree:
         return frame, pose
 
 
-def _projection(rotation: Floats, heading: float) -> Floats | None:
-    """Return the projection of a lidar with a rotation (3, 3) on the base, see `LidarMount`; None if it is level."""
-    if not MIN_LEVEL < abs(rotation[2, 2]) < MAX_LEVEL:
-        return None
+def _projection(rotation: Floats, heading: float) -> Floats:
+    """Return the projection (2, 2) of a lidar with a rotation (3, 3) on the base, see `LidarMount`."""
     c, s = math.cos(heading), math.sin(heading)
     return np.asarray(np.array([[c, s], [-s, c]]) @ rotation[:2, :2])
 

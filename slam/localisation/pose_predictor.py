@@ -130,7 +130,7 @@ class PosePredictor:
         """True if odometry has measured the motion from the last fix to the last scan.
 
         It has not if the wheels stood, as the robot may have been carried then, or if there was no reading in most of
-        that time.
+        that time. Without a history of readings, the two at its ends are taken to measure it.
         """
         if self._fix is None or self._last_odometry is None or not self.measured or self.stood_in_gap:
             return False

@@ -58,8 +58,8 @@ class MeasurementClock:
         last, self.last = self.last, stamp
         if last is None:
             return 0.0
-        is_known = len(self._latest) == PERIOD_SAMPLES
-        if is_known and self._in_bursts and stamp - last > sum(self._ordered):
+        is_full = len(self._latest) == PERIOD_SAMPLES
+        if is_full and self._in_bursts and stamp - last > sum(self._ordered):
             return stamp - last
         self._add(stamp - last)
         return self.period if self._in_bursts else max(stamp - last, self.period)

@@ -104,11 +104,7 @@ def live(
     setup = prepare_run(continued, localized, config, settings, start_pose, on_plan)
     with_page = web or web_address is not None
     specs, driving = _devices(lidar, base, drive, max_speed, max_turn_rate, with_page=with_page)
-    if record is not None:
-        check_recording_file(record, overwrite, "--record")
-        _refuse_in_results(record, out, "--record")
-    if status is not None:
-        _refuse_in_results(status, out, "--status")
+    _check_files(record, status, out, overwrite=overwrite)
     if sum(spec.is_lidar for spec in specs) > 1:
         setup = replace(setup, config=setup.config.with_two_lidars(*SCAN_TOPICS))
     if no_odometry or not base:
@@ -133,10 +129,16 @@ def live(
         raise live_input.failure
 
 
-def _refuse_in_results(file: Path, out: Path, option: str) -> None:
-    """Raise BadParameter if a file, which an option names, would be in the output directory, which is replaced."""
-    if out.resolve() in file.resolve().parents:
-        raise typer.BadParameter(f"{file}: must not be in the output directory {out}", param_hint=option)
+def _check_files(record: Path | None, status: Path | None, out: Path, *, overwrite: bool) -> None:
+    """Check the files of `--record` and `--status`, which must not be in the output directory, as that is replaced.
+
+    Raises BadParameter or RecordingError.
+    """
+    if record is not None:
+        check_recording_file(record, overwrite, "--record")
+    for option, file in (("--record", record), ("--status", status)):
+        if file is not None and out.resolve() in file.resolve().parents:
+            raise typer.BadParameter(f"{file}: must not be in the output directory {out}", param_hint=option)
 
 
 def _devices(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import drivers
 from drivers.messages import GroundTruth, Message, Odometry, Scan
@@ -81,6 +83,22 @@ def test_a_lidar_is_not_mounted_on_what_odometry_moves() -> None:
         tree.add(decode(ENCODER.transform(0.01, parent, child, np.full(3, 0.5)), TRANSFORMS, "cdr"))
     assert tree.mount_on("base_link", "laser").pose is not None
     assert tree.mount_on("goal", "laser").pose is None
+
+
+@pytest.mark.parametrize(("degrees", "projected"), [(0.5, False), (20.0, True), (90.0, False)])
+def test_only_a_lidar_that_measures_along_the_floor_is_projected(degrees: float, projected: bool) -> None:
+    """One that is upright does not, but must not be taken for a level one."""
+    _, y, _, w = Rotation.from_euler("y", degrees, degrees=True).as_quat()
+    tree, transforms = (
+        TransformTree(),
+        decode(ENCODER.transform(0.01, "base_link", "laser", np.zeros(3)), TRANSFORMS, "cdr"),
+    )
+    rotation = transforms.transforms[0].transform.rotation
+    turned = replace(transforms.transforms[0].transform, rotation=replace(rotation, y=float(y), w=float(w)))
+    tree.add(replace(transforms, transforms=[replace(transforms.transforms[0], transform=turned)]))
+    mount = tree.find_mount("laser", "base_link")
+    assert mount.tilt == pytest.approx(np.radians(degrees) if degrees > 1.0 else 0.0)
+    assert (mount.projection is not None) is projected
 
 
 def test_a_lidar_with_the_frame_of_the_base_is_mounted_there() -> None:
