@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from slam.errors import MapError
 from slam.measuring.map_measurements import measure_map, measure_walls, wall_lengths
 from slam.measuring.measurement import Kind, Measurement, measure_angle, measure_distance, measure_length
+from slam.measuring.outlines import STEP_COST, _bridge_cost, wall_edges
 from slam.measuring.rooms import build_room, find_rooms, measure_room, outline_along
 from slam.measuring.visible_pairs import measure_pairs
 from slam.measuring.wall_map import WallMap
@@ -108,6 +110,19 @@ def test_walls_of_two_rooms_on_one_line_are_divided_by_the_partition() -> None:
     corners = [(1, 2), (2, 3), (3, 0), (0, 4), (4, 5), (5, 6)]
     found = find_rooms(wall_map(walls, corners, path=[(1.0, 1.0), (2.0, 1.5), (6.0, 1.0)]))
     assert [one.area for one in found] == [pytest.approx(12.0)] * 2
+
+
+def test_what_continues_a_divided_wall_does_not_depend_on_rounding() -> None:
+    """The end of one piece is the begin of the next one, up to the last digit of their place on the wall."""
+    walls = [[(0.0, 0.0), (12.0, 0.0)], *([(x, 3.0), (x, 0.0)] for x in (3.0, 6.0, 9.0))]
+    plan, rng, costs = wall_map(walls), np.random.default_rng(3), set()
+    for _ in range(12):
+        one = moved(plan, rng.normal(0.0, 1e-7, 2 * len(walls)))
+        edges = wall_edges(one)
+        pieces = np.flatnonzero(edges.wall == 0)
+        pieces = pieces[np.argsort(edges.span[pieces, 0])].tolist()
+        costs |= {round(_bridge_cost(one, edges, *pair), 5) for pair in pairwise(pieces)}
+    assert costs == {STEP_COST}
 
 
 @pytest.mark.parametrize("common", [True, False])
