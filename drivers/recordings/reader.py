@@ -37,10 +37,12 @@ class RecordingReader(SurveyedRecording):
         frozen, speed = FrozenOdometryDetector(), OdometrySpeed()
         times = self.beam_times
         reason, own, gyroscope, floor = self.reason_to_mirror, self.own_returns, self.gyroscope_scale, self.floor
-        messages = self._without_own_returns(self._first_or_new_messages())
+        messages = self._corrected(self._first_or_new_messages())
         report = self.report
         if own is not None:
             self.interpret(f"{own}; they are left out")
+        if self.interlacing is not None:
+            self.interpret(f"{self.interlacing}; corrected")
         if reason is not None:
             self.interpret(reason)
             messages = self._mirrored(messages)

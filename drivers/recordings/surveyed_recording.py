@@ -16,6 +16,7 @@ from ..errors import RecordingError
 from ..messages import Message, Scan, SourceReport, mirrored
 from .frozen_odometry import FrozenOdometryDetector
 from .odometry_speed import OdometrySpeed
+from .time_ordering import sort_within
 
 if TYPE_CHECKING:
     from ..timing.beam_order import BeamOrderTest
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ..timing.delay import Delay
     from ..timing.floor import Floor
     from ..timing.gyroscope_scale import GyroscopeScale
+    from ..timing.interlacing import Interlacing
     from ..timing.mount_heading import MountHeading
     from ..timing.own_returns import OwnReturns
     from ..timing.turns import Turns
@@ -94,7 +96,7 @@ class SurveyedRecording(ABC):
         """Comparison of the turns of odometry with those of the scans, not mirrored; None if they do not show any."""
         from ..timing.upside_down import compare_odometry_turns
 
-        return compare_odometry_turns(self._turns_without_own_returns)
+        return compare_odometry_turns(self._turns_not_mirrored)
 
     @cached_property
     def reason_to_mirror(self) -> str | None:
@@ -102,7 +104,7 @@ class SurveyedRecording(ABC):
 
         They are if no mount states whether the lidar is upside down, and odometry shows that it is.
         """
-        if self._turns_without_own_returns.mount is not None or self.odometry_turns is None:
+        if self._turns_not_mirrored.mount is not None or self.odometry_turns is None:
             return None
         return self.odometry_turns.reason_to_mirror()
 
@@ -176,24 +178,29 @@ class SurveyedRecording(ABC):
         return self._turns_as_recorded.own_returns
 
     @cached_property
+    def interlacing(self) -> Interlacing | None:
+        """Parts of interlaced scans that are stamped late against each other; None if there are none."""
+        from ..timing.interlacing import find_interlacing
+
+        return find_interlacing(self._turns_as_recorded)
+
+    @cached_property
     def _turns(self) -> Turns:
         """What is known of the whole recording before it is read: collected once, as that takes as long as reading."""
         from ..timing.turns import Turns
 
         if self.reason_to_mirror is None:
-            return self._turns_without_own_returns
-        return Turns(self._mirrored(self._without_own_returns(self._survey_messages())))
+            return self._turns_not_mirrored
+        return Turns(self._mirrored(self._corrected(self._survey_messages())))
 
     @cached_property
-    def _turns_without_own_returns(self) -> Turns:
-        """Turns of the drive by scans without returns from the robot itself, which are not mirrored."""
+    def _turns_not_mirrored(self) -> Turns:
+        """Turns of the drive by scans without returns from the robot itself, stamped alike, which are not mirrored."""
         from ..timing.turns import Turns
 
-        return (
-            self._turns_as_recorded
-            if self.own_returns is None
-            else Turns(self._without_own_returns(self._survey_messages()))
-        )
+        if self.own_returns is None and self.interlacing is None:
+            return self._turns_as_recorded
+        return Turns(self._corrected(self._survey_messages()))
 
     @cached_property
     def _turns_as_recorded(self) -> Turns:
@@ -202,10 +209,18 @@ class SurveyedRecording(ABC):
 
         return Turns(self._survey_messages())
 
-    def _without_own_returns(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """Yield messages with scans without returns from the robot itself."""
-        own = self.own_returns
-        return (own.left_out(m) if own is not None and isinstance(m, Scan) else m for m in messages)
+    def _corrected(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield messages in time order, with scans without returns from the robot itself, and interlaced parts in time.
+
+        The parts are stamped as late as the first one.
+        """
+        own, interlacing = self.own_returns, self.interlacing
+        if own is not None:
+            messages = (own.left_out(message) if isinstance(message, Scan) else message for message in messages)
+        if interlacing is not None:
+            stamped = (interlacing.of(message) if isinstance(message, Scan) else message for message in messages)
+            messages = sort_within(stamped, interlacing.earlier)
+        return iter(messages)
 
     @staticmethod
     def _mirrored(messages: Iterable[Message]) -> Iterator[Message]:
