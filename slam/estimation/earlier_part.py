@@ -12,6 +12,8 @@ These probabilities are those of poses that odometry predicts. If tracking finds
 slip, the next scans may fit there one after the other, as in a look-alike corridor. So a scan counts as fitting only if
 its pose agrees with odometry since the robot was last seen in the part.
 
+If the new part is recognised in the map where odometry has the robot, the robot has not left either.
+
 Tracking also accepts scans of which only half of the points fit, as among people. Where little of the map is in view,
 scans from another place may fit as well as that, one after the other. So a poor fit does not count.
 """
@@ -57,6 +59,7 @@ class EarlierPart:
         self.state, self.monitor = state, monitor
         self._last_seen = state.tracker.fix
         self._balance, self._scans, self._travelled = 0, 0, 0.0  # metres
+        self._recognised = False
         self._counted: se2.Pose | None = None  # odometry at the last scan that was counted
 
     def add(self, scan: ProcessedScan) -> TrackingResult | None:
@@ -96,6 +99,11 @@ class EarlierPart:
         predicted = Prediction(se2.compose(self._last_seen.pose, motion), information)
         return not self.state.odometry_model.measured or not predicted.excludes(pose)
 
+    def recognise(self, pose: se2.Pose, odometry: Odometry) -> bool:
+        """Confirm the part, and return True, if the robot was recognised in the map at a pose where odometry has it."""
+        self._recognised = self.state.odometry_model.measured and self._agrees_with_odometry(pose, odometry)
+        return self._recognised
+
     def _count(self, evidence: int, odometry: se2.Pose) -> None:
         """Add the evidence of a scan if the robot has driven the smaller distance of keyframes since the last one."""
         if not evidence or not self._is_far_enough(odometry):
@@ -116,7 +124,7 @@ class EarlierPart:
     @property
     def confirmed(self) -> bool:
         """True if the robot has not left the part."""
-        return self._balance >= DECIDING_MARGIN
+        return self._recognised or self._balance >= DECIDING_MARGIN
 
     @property
     def expired(self) -> bool:

@@ -205,8 +205,12 @@ class Estimator:
     def _close_loop(self, scan: ProcessedScan, update: KeyframeUpdate, decision: LoopDecision) -> KeyframeUpdate:
         """Close a confirmed loop on a copy of the state; keep the copy if the map fits together.
 
-        If the loop joins the map on trial with the frozen one, the robot is relocalised in that.
+        If the loop joins the map on trial with the frozen one, the robot is relocalised in that. If it leads to where
+        odometry has the robot in the earlier part, it is not closed: the next scan returns to that part.
         """
+        joined = se2.compose(decision.correction, self.state.pose)
+        if decision.joins and self._earlier is not None and self._earlier.recognise(joined, scan.reading):
+            return replace(update, loop=None)
         trial, superseded = self.state.copy(), self.state.mapper
         decision = close_loop(trial, update.observations, decision)
         if decision.status is not LoopStatus.ACCEPTED:

@@ -124,7 +124,7 @@ def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, reach: floa
     reach, turn = max(SEARCH_STEP, reach), min(math.pi, max(SEARCH_TURN_STEP, turn))
     few = np.ascontiguousarray(subsample(submap.points, MAX_SEARCH_POINTS))  # strided: compiled for separately
     costs = _grid_costs(old.field.arrays, few, prediction, reach, turn)
-    low = np.flatnonzero(costs == _lowest_around(costs))
+    low = np.flatnonzero(costs == lowest_around(costs))
     low = low[np.argsort(costs.ravel()[low], kind="stable")[:MAX_REFINED]]
     turns, steps = (costs.shape[0] - 1) // 2, (costs.shape[1] - 1) // 2
     some, of_old = (
@@ -143,8 +143,8 @@ def search_submap(submap: Submap, old: Submap, prediction: se2.Pose, reach: floa
     return sorted(found, key=lambda match: -match.score)
 
 
-def _lowest_around(costs: Floats) -> Floats:
-    """Return the lowest cost (k, n, n) among each pose of a grid and its neighbours, diagonal ones too."""
+def lowest_around(costs: Floats) -> Floats:
+    """Return the lowest of the costs (...) of each pose of a grid and its neighbours, diagonal ones too."""
     lowest = costs
     for axis in range(costs.ndim):
         along = np.moveaxis(lowest, axis, 0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry.segments import Floats
 from ..localisation.local_field import LocalField
 from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.mapper import Mapper
@@ -53,13 +54,25 @@ class DriveScans:
     def take(self, mapper: Mapper, local_field: LocalField, first: int) -> ScannedDrive:
         """Return the last submaps of the drive since a keyframe, to be searched for now."""
         self._searched = mapper.keyframe_count
-        driven = local_field.path_distances(mapper.travelled).driven[first:]
-        number = np.floor((driven - driven[0]) / SUBMAP_LENGTH).astype(np.int64)
-        starts = first + np.flatnonzero(np.diff(number, prepend=-1))
-        ends = [*starts[1:].tolist(), mapper.keyframe_count]
-        spans = [range(start, end) for start, end in zip(starts.tolist(), ends, strict=True)][-MAX_SUBMAPS:]
+        driven = local_field.path_distances(mapper.travelled).driven
+        spans = _spans(driven, range(first, mapper.keyframe_count))[-MAX_SUBMAPS:]
         self._complete = {span: self._complete.get(span) or _scan(mapper, local_field, span) for span in spans[:-1]}
         return scan_drive(mapper, [*self._complete.values(), _scan(mapper, local_field, spans[-1])])
+
+
+def scan_stretch(mapper: Mapper, local_field: LocalField, keyframes: range) -> ScannedDrive:
+    """Return the submaps of some keyframes of a map in which all keyframes are connected."""
+    driven = local_field.path_distances(mapper.travelled).driven
+    return scan_drive(mapper, [_scan(mapper, local_field, span) for span in _spans(driven, keyframes)])
+
+
+def _spans(driven: Floats, keyframes: range) -> list[range]:
+    """Return the keyframes of each submap, given the metres (k,) driven up to all keyframes."""
+    since = driven[keyframes.start : keyframes.stop] - driven[keyframes.start]
+    number = np.floor(since / SUBMAP_LENGTH).astype(np.int64)
+    starts = keyframes.start + np.flatnonzero(np.diff(number, prepend=-1))
+    ends = [*starts[1:].tolist(), keyframes.stop]
+    return [range(start, end) for start, end in zip(starts.tolist(), ends, strict=True)]
 
 
 def _scan(mapper: Mapper, local_field: LocalField, keyframes: range) -> SubmapScan:

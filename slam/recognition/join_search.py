@@ -30,6 +30,7 @@ from ..mapping.mapper import Mapper
 from .drive_scans import DriveScans
 from .location import LOST, Expectation, Location, PlacedSubmap, locate
 from .scanned_map import ScannedMap, scan_keyframes
+from .self_similarity import SelfSimilarity
 
 
 class JoinSearch:
@@ -117,7 +118,8 @@ class JoinSearch:
         for group in np.unique(groups[apart]).tolist():
             if group not in self._maps:
                 self._maps[group] = scan_keyframes(mapper, local_field, groups == group)
-            found[group] = locate(drive, self._maps[group], self.expected)
+            similarity = SelfSimilarity(mapper, local_field, groups == group, self._maps[group])
+            found[group] = locate(drive, self._maps[group], self.expected, similarity=similarity.of)
         group = max(found, key=lambda number: found[number].support)
         location, others = found[group], [found[number].support for number in found if number != group]
         if not location.accepted or any(location.support - support < location.required for support in others):

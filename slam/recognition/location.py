@@ -7,7 +7,7 @@ together are in one place only, which is decided on by the evidence of all cells
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,7 +118,13 @@ class Location:
         return bool(self.members)
 
 
-def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation, near: Uncertainty | None = None) -> Location:
+def locate(
+    new: ScannedDrive,
+    old: ScannedMap,
+    expected: Expectation,
+    near: Uncertainty | None = None,
+    similarity: Callable[[ScannedDrive], float] | None = None,
+) -> Location:
     """Search for a drive in a map, or `near` the place that it has there already, and decide on its placement.
 
     Before, the drive is in the map with the `expected` probability: at each of its places with the same one, or with
@@ -126,17 +132,20 @@ def locate(new: ScannedDrive, old: ScannedMap, expected: Expectation, near: Unce
     each placement gives its probability, and the sum over those that have a submap at the same place gives the
     probability of that place. Submaps are accepted at the best placement if it is wrong with a probability of at most
     `expected.error`. So a drive that fits in several places is refused, however well it fits in each.
+
+    similarity  returns how much a drive at an unknown place resembles places of the map, see `SelfSimilarity.of`; it is
+                asked if the evidence suffices otherwise. None if places look alike by chance only
     """
     placements, count = find_placements(new, old, near), len(new.submaps)
     if not placements:
         reason = f"none of its {count} submaps lies on walls of it"
         return Location(count, (), -math.inf, expected.required, -math.inf, reason)
     comparison = _Comparison(new, old, placements, expected, near)
-    odds = [comparison.odds(row) for row in range(count)]
-    certain = [row for row in comparison.fitting() if odds[row] >= expected.required]
-    members = [comparison.place(row) for row in certain] if comparison.mapped >= comparison.least_mapped else []
-    decided = Location(count, members, max(odds), expected.required, comparison.support, "")
-    return replace(decided, reason=comparison.reason(decided))
+    location = comparison.decide()
+    if location.accepted and similarity is not None:
+        comparison.expect_similar_places(similarity(new))
+        location = comparison.decide()
+    return location
 
 
 def number_of_places(area: float, near: Uncertainty | None) -> float:
@@ -180,13 +189,32 @@ class _Comparison:
         evidence = [evidence_of(*pair) for pair in zip(self._fits, chances, strict=True)]
         self._log_weights = np.add(evidence, self._log_densities)  # of the placements, by Bayes' theorem
         self._best = int(np.argmax(self._log_weights))
-        self._log_places = math.log(max(1.0, number_of_places(old.seen_area, near)))
-        self._unknown = self._log_places + math.log((1.0 - expected.prior) / expected.prior)
+        self._log_unknown = math.log(max(1.0, number_of_places(old.seen_area, near)))
+        self._looks_alike = False
         points = [submap.points.points for submap in new.submaps]
         poses = placements[self._best].poses
         costs = [point_cost(old.field, some, pose) for some, pose in zip(points, poses, strict=True)]
         self._fitting = [(fit, known / max(1, len(some))) for (_, fit, known), some in zip(costs, points, strict=True)]
         self.mapped = sum(known for _, _, known in costs) / max(1, sum(map(len, points)))
+
+    @property
+    def _unknown(self) -> float:
+        """Logarithm of the weight of an unknown place."""
+        return self._log_unknown + math.log((1.0 - self._expected.prior) / self._expected.prior)
+
+    def expect_similar_places(self, similarity: float) -> None:
+        """Expect that an unknown place resembles the map, with this logarithm of the mean likelihood ratio."""
+        self._looks_alike = similarity > self._log_unknown
+        self._log_unknown = float(np.logaddexp(self._log_unknown, similarity))
+
+    def decide(self) -> Location:
+        """Return the decision on the best placement."""
+        count, expected = len(self._new.submaps), self._expected
+        odds = [self.odds(row) for row in range(count)]
+        certain = [row for row in self.fitting() if odds[row] >= expected.required]
+        members = [self.place(row) for row in certain] if self.mapped >= self.least_mapped else []
+        decided = Location(count, members, max(odds), expected.required, self.support, "")
+        return replace(decided, reason=self.reason(decided))
 
     @property
     def least_mapped(self) -> float:
@@ -196,7 +224,7 @@ class _Comparison:
     @property
     def support(self) -> float:
         """Logarithm of the likelihood ratio of any of the placements to an unknown place."""
-        return float(np.logaddexp.reduce(self._log_weights)) - self._log_places
+        return float(np.logaddexp.reduce(self._log_weights)) - self._log_unknown
 
     def odds(self, submap: int) -> float:
         """Return the logarithm of the odds that a submap is where the best placement has it."""
@@ -228,6 +256,8 @@ class _Comparison:
         count = len(self._new.submaps)
         if location.accepted:
             return f"{len(location.members)} of its {count} submaps fit in one place only; {numbers}"
+        if self._looks_alike:
+            return f"it fits, {self._motion(self._best)}, but places of the map look as much alike: {numbers}"
         rivals = [row for row in np.argsort(-self._log_weights)[1:].tolist() if self._log_weights[row] > self._unknown]
         if rivals and location.evidence < location.required:
             strongest = [self._best, *rivals[:MAX_NAMED_RIVALS]]

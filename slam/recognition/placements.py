@@ -1,4 +1,4 @@
-"""Placements of a map in another one: candidates from the walls of its submaps, refined submap by submap.
+"""Placements of a map in another one: candidates from walls and points of its submaps, refined submap by submap.
 
 A match of one submap implies a placement of all submaps. The others are refined one after the other. Each starts where
 it is predicted from its pose relative to a submap refined before, and must stay within the covariance of this
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import chain
+from itertools import chain, zip_longest
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from drivers.immutable import immutable
 from ..geometry.pose_covariance import position_sigma, squared_distance
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
-from ..loop_closure.submap_search import are_distinct
+from ..loop_closure.submap_search import MAX_REFINED, are_distinct
 from ..matching.distance_field import DistanceField
 from ..matching.point_matcher import (
     POINTS_PER_OBJECT,
@@ -30,6 +30,7 @@ from ..matching.point_matcher import (
     match_points,
     point_cost,
 )
+from .grid_search import search_grid
 from .map_index import MAX_CANDIDATES, align_candidates
 from .scanned_map import DriveSubmap, ScannedDrive, ScannedMap
 from .submap_alignment import SUBMAP_HEADING_GATES, SUBMAP_OFFSET_GATES, align_submap, sample_walls
@@ -97,7 +98,7 @@ class Placement:
 
 
 def find_placements(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> list[Placement]:
-    """Return the different placements of a map in another one that walls of its submaps suggest.
+    """Return the different placements of a map in another one that walls and points of its submaps suggest.
 
     near  admits only some poses, suggests the one that the drive has by its own map, and random ones; None if it may be
           anywhere
@@ -124,17 +125,24 @@ def _random_candidates(new: ScannedDrive, near: Uncertainty) -> Iterator[tuple[i
 
 
 def _candidates(new: ScannedDrive, old: ScannedMap, near: Uncertainty | None) -> Iterator[tuple[int, se2.Pose]]:
-    """Yield submaps with their poses in the other map at which walls coincide, most wall length first."""
+    """Yield submaps with their poses in the other map: where walls coincide, most wall length first.
+
+    In turn with them, if it may be anywhere: where the points of the last submap fit, the best first.
+    """
     found = [
         (alignment.length, row, alignment.pose)
         for row, submap in enumerate(new.submaps)
         for alignment in align_candidates(submap.scan.descriptor, old.index)
         if near is None or near.admits(submap, alignment.pose)
     ]
-    for _, row, pose in sorted(found, key=lambda candidate: -candidate[0]):
-        yield row, pose
+    on_walls = [(row, pose) for _, row, pose in sorted(found, key=lambda candidate: -candidate[0])]
+    last = len(new.submaps) - 1
     if near is not None:
-        yield len(new.submaps) - 1, new.submaps[-1].pose
+        yield from (*on_walls, (last, new.submaps[last].pose))
+        return
+    on_grid = [(last, pose) for pose in search_grid(new.submaps[last], old, MAX_REFINED)]
+    for pair in zip_longest(on_walls, on_grid):
+        yield from (candidate for candidate in pair if candidate is not None)
 
 
 def _refine(new: ScannedDrive, old: ScannedMap, first: int, pose: se2.Pose) -> Placement:
