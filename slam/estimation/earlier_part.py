@@ -29,6 +29,7 @@ from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import INDOOR_RANGE
 from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult, TrackingStatus
+from ..loop_closure.submap_search import are_distinct
 from ..matching.point_matcher import MIN_KNOWN_POINTS, Prediction
 from ..odometry.history import wheel_travel
 from ..preprocessing.preprocessor import ProcessedScan
@@ -100,8 +101,12 @@ class EarlierPart:
         return not self.state.odometry_model.measured or not predicted.excludes(pose)
 
     def recognise(self, pose: se2.Pose, odometry: Odometry) -> bool:
-        """Confirm the part, and return True, if the robot was recognised in the map at a pose where odometry has it."""
-        self._recognised = self.state.odometry_model.measured and self._agrees_with_odometry(pose, odometry)
+        """Confirm the part, and return True, if the robot was recognised in the map where it is in the part.
+
+        Odometry that knows little of the motion agrees with many poses: then the robot would go on at another one.
+        """
+        expected = self.state.tracker.predict(odometry)
+        self._recognised = not are_distinct(expected, pose) and self._agrees_with_odometry(pose, odometry)
         return self._recognised
 
     def _count(self, evidence: int, odometry: se2.Pose) -> None:

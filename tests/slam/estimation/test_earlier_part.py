@@ -114,3 +114,21 @@ def test_scans_that_would_not_count_are_left_out_once_the_robot_seems_elsewhere(
     for stamp in range(20, 20 + 2 * DECIDING_MARGIN):  # it drives where it was all the time
         part.add(ProcessedScan(float(stamp), np.array([float(stamp), 0.0, 0.0]), FEATURES))
     assert part.confirmed
+
+
+def recognised(pose: se2.Pose, *, driven: float) -> bool:
+    """Return True if the robot has not left the part, once it was recognised at a pose, by odometry `driven` metres."""
+    part = earlier_part()
+    recognised = part.recognise(pose, Odometry(1.0, np.array([driven, 0.0, 0.0])))
+    assert part.confirmed == recognised
+    return recognised
+
+
+def test_a_robot_that_is_recognised_where_odometry_has_it_has_not_left() -> None:
+    assert recognised(np.array([1.05, 0.02, 0.01]), driven=1.0)
+    assert not recognised(np.array([1.0, 1.5, 0.0]), driven=1.0)
+
+
+def test_odometry_that_knows_little_does_not_tell_where_a_recognised_robot_is() -> None:
+    """After 100 m its uncertainty admits the pose, but the part would go on at another one."""
+    assert not recognised(np.array([101.0, 1.0, 0.0]), driven=100.0)
