@@ -23,6 +23,8 @@ FRAME = struct.Struct(">3sHBHB")
 CHECKSUM_CHANGE_FRAMES = 3
 """Consecutive frames with the other checksum variant after which that one is expected."""
 
+WHEEL_RADIUS = 0.036
+"""Metres."""
 WHEELS = DifferentialDrive(left=0.444565e-3, right=0.444565e-3, track=0.235, bits=16, top_speed=0.5)
 """508.8 counts per revolution of a 72 mm wheel."""
 

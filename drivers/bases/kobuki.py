@@ -33,7 +33,9 @@ MIN_PAYLOAD, MAX_PAYLOAD = 3, 160
 MAX_RADIUS = 32767
 """mm; larger arcs are driven straight."""
 
-METRES_PER_COUNT = 0.035 * 0.0024369169
+WHEEL_RADIUS = 0.035
+"""Metres."""
+METRES_PER_COUNT = WHEEL_RADIUS * 0.0024369169
 """Wheel radius times radians per count."""
 WHEELS = DifferentialDrive(left=METRES_PER_COUNT, right=METRES_PER_COUNT, track=0.230, bits=16, top_speed=0.7)
 

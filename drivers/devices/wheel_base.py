@@ -53,6 +53,7 @@ class BaseKind(NamedTuple):
     drive     wheel geometry; None if it is the builder's
     dtr       state of the modem line DTR
     sleeps    True if a pulse on the modem line RTS wakes the base
+    wheel_radius  metres, of `drive`
     """
 
     name: str
@@ -60,11 +61,12 @@ class BaseKind(NamedTuple):
     drive: DifferentialDrive | None
     dtr: bool
     sleeps: bool = False
+    wheel_radius: float = 1.0
 
 
 BASE_KINDS: Mapping[str, BaseKind] = {
-    "create2": BaseKind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, dtr=False, sleeps=True),
-    "kobuki": BaseKind("Kobuki", Kobuki, kobuki.WHEELS, dtr=False),
+    "create2": BaseKind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, False, True, create2.WHEEL_RADIUS),
+    "kobuki": BaseKind("Kobuki", Kobuki, kobuki.WHEELS, False, False, kobuki.WHEEL_RADIUS),
     "arduino": BaseKind("ros_arduino_bridge", ArduinoBridge, None, dtr=True),
     "wheels": BaseKind("base with the project's own line protocol", WheelLine, None, dtr=True),
 }
@@ -74,10 +76,16 @@ PROBE_ORDER = ("kobuki", "wheels", "create2", "arduino")
 
 
 def drive_geometry(kind: str, options: Mapping[str, Any]) -> DifferentialDrive:
-    """Return the wheel geometry of a kind of base with the options of a device spec."""
+    """Return the wheel geometry of a kind of base with the options of a device spec.
+
+    Of the radius and the ticks, the one that the options lack is that of the kind.
+    """
     drive = BASE_KINDS[kind].drive or DifferentialDrive(1.0, 1.0, 1.0, DEFAULT_COUNTER_BITS, DEFAULT_TOP_SPEED)
-    if "wheel_radius" in options and "ticks" in options:
-        (left, right), (left_ticks, right_ticks) = options["wheel_radius"], options["ticks"]
+    if "wheel_radius" in options or "ticks" in options:
+        radius = BASE_KINDS[kind].wheel_radius
+        left, right = options.get("wheel_radius", (radius, radius))
+        usual_ticks = 2 * pi * radius / drive.left, 2 * pi * radius / drive.right
+        left_ticks, right_ticks = options.get("ticks", usual_ticks)
         drive = replace(drive, left=2 * pi * left / left_ticks, right=2 * pi * right / right_ticks)
     changed = {key: options[key] for key in ("track", "top_speed", "bits") if key in options}
     return replace(drive, **changed)

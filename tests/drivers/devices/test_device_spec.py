@@ -47,6 +47,15 @@ def test_wheel_geometry_follows_from_radius_and_ticks() -> None:
     assert drive_geometry("create2", {"track": 0.3}).track == 0.3
 
 
+@pytest.mark.parametrize(("kind", "radius"), [("create2", 0.036), ("kobuki", 0.035)])
+def test_the_radius_that_calibration_has_found_is_used_with_the_ticks_of_the_kind(kind: str, radius: float) -> None:
+    usual = drive_geometry(kind, {})
+    worn = drive_geometry(kind, parse_device(f"{kind}:/dev/a?wheel_radius={0.97 * radius},{radius}").options)
+    assert (worn.left, worn.right) == pytest.approx((0.97 * usual.left, usual.right))
+    backwards = drive_geometry(kind, parse_device(f"{kind}:/dev/a?ticks=-{2 * np.pi * radius / usual.left}").options)
+    assert (backwards.left, backwards.right) == pytest.approx((-usual.left, -usual.right))
+
+
 @pytest.mark.parametrize(
     ("text", "because"),
     [
