@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any
 
 from .. import se2
 from ..messages import InitialPose, Message, Odometry, Scan, SourceReport
@@ -38,6 +38,7 @@ from .encoder import POSE_WITH_COVARIANCE
 from .inputs import Inputs
 from .link import DEFAULT, MOVING_TRANSFORMS, SENSOR_DATA, STATIC_TRANSFORMS, Link, QoS
 from .silence import Silence
+from .stamp_check import Refusal, StampCheck
 
 MAX_WAITING_SCANS = 40
 """Scans of each lidar that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
@@ -47,16 +48,6 @@ NO_MOUNT = "dropped, as no transform connects the scan's frame with the base"
 PAUSED = "dropped while new measurements are paused"
 THROTTLED = "dropped by throttle_scans"
 WRONG_FRAME = "initial pose in another frame than the map's"
-LATE = "older than one received before"
-CLOCK_CONFIRMATIONS = 5
-"""Messages in a row that are older than those before, after which the clock was set back. Origin: as in recordings."""
-MAX_CLOCK_STEP = 5.0
-"""Seconds by which a clock may be set back so that messages are dropped until it has caught up. Origin: chosen, about
-what it takes to finish a map and to recognise the place of the robot in it; not measured.
-"""
-
-_Kind: TypeAlias = tuple[type[Message], int]
-"""Type of a message, and the number of the lidar."""
 
 
 class RosReceiver:
@@ -66,15 +57,13 @@ class RosReceiver:
     on_odometry  called with each odometry reading, from a thread of the link
     paused       true: scans are dropped
     report       counts of what was received and dropped
-    clock_was_set_back  true if the stamps of odometry and scans have begun again, by more than MAX_CLOCK_STEP earlier,
-                 as in a simulation that is reset or a bag that is played again; nothing arrives until `begin_again`
     """
 
     def __init__(
         self, link: Link, inputs: Inputs, on_odometry: Callable[[Odometry], None] = lambda reading: None
     ) -> None:
         self.report = SourceReport()
-        self.paused = self.clock_was_set_back = False
+        self.paused = False
         self.inputs, self._on_odometry = inputs, on_odometry
         self._tree = TransformTree()
         self._tf_odometry = TransformOdometry(inputs.odometry_frame, inputs.base_frame, self._tree)
@@ -82,8 +71,7 @@ class RosReceiver:
         self._messages: deque[Message] = deque()
         self._waiting, self._scans = 0, [0 for _ in inputs.scan_topics]
         self._reading: Odometry | None = None  # odometry in the message that is being added
-        self._latest: dict[_Kind, float] = {}
-        self._older: Counter[_Kind] = Counter()  # messages in a row that are older than the latest one
+        self._stamps = StampCheck(uses_odometry=inputs.uses_odometry)
         self._silence = Silence(len(inputs.scan_topics))
         self._changed, self._stopped = threading.Condition(), False
         subscribe = partial(self._subscribe, link)
@@ -116,6 +104,14 @@ class RosReceiver:
         self._add(self._put_odometry, reading)
 
     @property
+    def clock_was_set_back(self) -> bool:
+        """True if stamps have begun again, as in a simulation that is reset or a bag that is played again.
+
+        Nothing arrives then until `begin_again`.
+        """
+        return self._stamps.was_set_back
+
+    @property
     def stopped(self) -> bool:
         """True after `stop`."""
         return self._stopped
@@ -142,17 +138,13 @@ class RosReceiver:
         with self._changed:
             self._messages.clear()
             self._waiting = 0
-            self._latest.clear()
-            self._older.clear()
-            self.clock_was_set_back = False
+            self._stamps.begin_again()
 
     def missing(self) -> list[str]:
         """Return what has not arrived for some seconds, one line of text each, or cannot be used."""
         with self._changed:
             lines = self._silence.missing(self.inputs, self._tf_odometry.others)
-            if max(self._older.values(), default=0) >= CLOCK_CONFIRMATIONS:
-                lines.append("the clock of a sensor was set back; its messages are dropped until it has caught up")
-            return lines + self._silence.unusable(self.inputs)
+            return [*lines, *self._stamps.problems(), *self._silence.unusable(self.inputs)]
 
     def _subscribe(self, link: Link, topic: str, msgtype: str, add: Callable[[Any, int], None], qos: QoS) -> None:
         def receive(data: bytes) -> None:
@@ -241,19 +233,15 @@ class RosReceiver:
             self._reading = reading
 
     def _put(self, message: Message) -> bool:
-        """Append a message if it is later than the last one of its kind; transforms are often sent twice."""
-        kind = type(message), message.lidar if isinstance(message, Scan) else 0
-        latest = self._latest.get(kind, float("-inf"))
-        if self._stopped or message.stamp == latest:
+        """Append a message if it follows the last one of its sensor; transforms are often sent twice."""
+        if self._stopped:
             return False
-        if message.stamp < latest:
-            self._older[kind] += 1
-            self._skip(LATE)
-            if latest - message.stamp > MAX_CLOCK_STEP and self._older[kind] >= CLOCK_CONFIRMATIONS:
-                self.clock_was_set_back = self.clock_was_set_back or self._others_are_older(kind)
+        sensor = type(message), message.lidar if isinstance(message, Scan) else 0
+        refusal = self._stamps.refuse(sensor, message.stamp, paused=self.paused)
+        if refusal is not None:
+            if refusal is not Refusal.REPEATED:
+                self._skip(refusal)
             return False
-        self._older[kind] = 0
-        self._latest[kind] = message.stamp
         self._messages.append(message)
         if isinstance(message, Scan):
             self._waiting += 1
@@ -263,15 +251,6 @@ class RosReceiver:
                 self._skip(TOO_SLOW)
         self._changed.notify()
         return True
-
-    def _others_are_older(self, kind: _Kind) -> bool:
-        """Return True if odometry and the scans of a lidar are both older than before; if one is, its sensor is wrong.
-
-        kind  what is older; without odometry, and of scans that are paused, nothing else can be expected to be so
-        """
-        kinds = {kind[0] for kind, count in self._older.items() if count}
-        alone = Scan if not self.inputs.uses_odometry else Odometry if self.paused else None
-        return kind[0] is alone or {Scan, Odometry} <= kinds
 
     def _skip(self, reason: str) -> None:
         report = self.report

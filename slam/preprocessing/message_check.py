@@ -47,7 +47,8 @@ class MessageCheck:
 
         Raises MessageError, with one line, if shapes contradict each other, if a number that must be known is not
         finite, if angles are not in radians and increasing, or if the stamp is more than MAX_STEP_BACK seconds earlier
-        than that of the last message of the same type or of the session, or more than MAX_APART from those of others.
+        than that of the last message of the same type or of the session, or if the first stamp of a sensor is more than
+        MAX_APART from those of others. Later, the clock of all may be set.
         """
         kind = type(message)
         if kind not in NAMES:
@@ -71,7 +72,7 @@ class MessageCheck:
         latest = self._latest.get(_sensor(message), -math.inf)
         if stamp < latest - MAX_STEP_BACK:
             raise _error(message, f"it follows one at {latest:.3f} s, but messages must be added in time order")
-        for (other, _), seconds in self._latest.items():
+        for (other, _), seconds in self._latest.items() if math.isinf(latest) else ():
             if other in ORDERED and abs(stamp - seconds) > MAX_APART:
                 far = f"another {NAMES[other]}" if other is type(message) else NAMES[other]
                 raise _error(message, f"{far} is stamped {seconds:.3f} s, so both are not seconds of one clock")

@@ -12,7 +12,8 @@ from drivers.recordings.ros_messages import LASER_SCAN, ODOMETRY, TRANSFORMS
 from drivers.ros2 import silence as silence_module
 from drivers.ros2.inputs import Inputs
 from drivers.ros2.link import STATIC_TRANSFORMS, QoS
-from drivers.ros2.receiver import LATE, MAX_WAITING_SCANS, NO_MOUNT, PAUSED, TOO_SLOW, RosReceiver
+from drivers.ros2.receiver import MAX_WAITING_SCANS, NO_MOUNT, PAUSED, TOO_SLOW, RosReceiver
+from drivers.ros2.stamp_check import Refusal
 from drivers.timing.beam_times import BeamTimes
 
 from ...memory_link import MemoryLink
@@ -162,7 +163,7 @@ def test_late_paused_and_damaged_messages_are_counted(link: MemoryLink, robot: R
     link.publish("/scan", LASER_SCAN, QoS())(b"\0\1\0\0abc")
     assert len(messages(receiver)) == 1
     damaged = "/scan: sensor_msgs/msg/LaserScan cannot be decoded"
-    assert receiver.report.reasons == {LATE: 1, PAUSED: 1, damaged: 1}
+    assert receiver.report.reasons == {Refusal.LATE: 1, PAUSED: 1, damaged: 1}
 
 
 def test_clock_of_one_sensor_that_was_set_back_is_named(link: MemoryLink, robot: Robot) -> None:
@@ -201,6 +202,77 @@ def test_a_clock_that_is_set_back_for_all_begins_again(
     assert [message.stamp for message in messages(receiver)] == pytest.approx([100.8 - back] * 2)
 
 
+@pytest.mark.parametrize("wrong", ["scan", "odometry"])
+def test_a_single_stamp_far_ahead_is_dropped(link: MemoryLink, robot: Robot, wrong: str) -> None:
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    for stamp in (100.0, 100.1, 100.2):
+        robot.move(86500.0 if (stamp, wrong) == (100.1, "odometry") else stamp, np.zeros(3))
+        robot.scan(86500.0 if (stamp, wrong) == (100.1, "scan") else stamp)
+    found = messages(receiver)
+    lost = Odometry if wrong == "odometry" else Scan
+    assert {one.stamp for one in found} == {100.0, 100.1, 100.2}
+    assert [one.stamp for one in found if type(one) is lost] == [100.0, 100.2]
+    assert receiver.report.reasons == {Refusal.OTHER_CLOCK: 1}
+
+
+def test_a_clock_that_is_set_ahead_for_all_changes_nothing(link: MemoryLink, robot: Robot) -> None:
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    stamps = [100.0, 100.1, 3e7, 3e7 + 0.1, 3e7 + 0.2]
+    for stamp in stamps:
+        robot.move(stamp, np.zeros(3))
+        robot.scan(stamp)
+    assert receiver.missing() == []
+    found = messages(receiver)
+    assert [one.stamp for one in found if isinstance(one, Scan)] == stamps
+    assert receiver.report.skipped == 1
+
+
+def test_a_sensor_with_another_clock_is_named_and_dropped_until_its_clock_is_set(
+    link: MemoryLink, robot: Robot
+) -> None:
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    for step in range(10):
+        robot.move(100.0 + 0.1 * step, np.zeros(3))
+        robot.scan(160.0 + 0.1 * step)
+    line = "the clock of a lidar is not that of odometry; its messages are dropped until it is"
+    assert receiver.missing() == [line]
+    robot.scan(101.0)
+    assert receiver.missing() == []
+    assert [one.stamp for one in messages(receiver) if isinstance(one, Scan)] == [101.0]
+
+
+def test_odometry_that_is_stamped_before_simulated_time_begins_again(link: MemoryLink, robot: Robot) -> None:
+    """A stamp of zero stands for the time of reception."""
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    robot.move(0.0, np.zeros(3))
+    for step in range(5):
+        assert not receiver.clock_was_set_back
+        robot.move(0.02 * step + 0.02, np.zeros(3))
+        robot.scan(0.02 * step + 0.02)
+    assert receiver.clock_was_set_back
+    receiver.begin_again()
+    robot.move(0.3, np.zeros(3))
+    robot.scan(0.3)
+    assert [one.stamp for one in messages(receiver)] == [0.3, 0.3]
+
+
+@pytest.mark.parametrize("silent", ["odometry", "scan", "both"])
+def test_sensors_go_on_after_a_pause(link: MemoryLink, robot: Robot, silent: str) -> None:
+    """Some bases send odometry only while they drive."""
+    receiver = RosReceiver(link, Inputs(mount_is_set=True))
+    for stamp in [*range(100, 120), 130]:
+        pauses = {silent} if 102 < stamp < 130 else set()
+        if not pauses & {"scan", "both"}:
+            robot.scan(stamp)
+        if not pauses & {"odometry", "both"}:
+            robot.move(stamp, np.zeros(3))
+    robot.scan(130.1)
+    robot.move(130.1, np.zeros(3))
+    last = messages(receiver)[-2:]
+    assert [one.stamp for one in last] == [130.1, 130.1]
+    assert receiver.report.skipped <= 1
+
+
 def test_odometry_messages_of_another_frame_are_moved(link: MemoryLink, robot: Robot) -> None:
     """Their frame is base_link; that of the robot is fixed beside it. Frames that nothing connects are taken as it."""
     offset = np.array([0.2, 0.0, 0.5])
@@ -229,7 +301,7 @@ def test_scans_of_a_second_lidar_have_its_number_and_mount(link: MemoryLink, rob
     assert isinstance(other, Scan)
     assert (first.lidar, other.lidar) == (0, 1)
     assert np.array_equal(other.mount, behind)
-    assert receiver.report.reasons == {LATE: 1}
+    assert receiver.report.reasons == {Refusal.LATE: 1}
 
 
 def test_a_missing_second_lidar_is_named(link: MemoryLink, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -104,6 +104,14 @@ def test_stamps_of_two_clocks_are_refused() -> None:
         check.checked(SCAN)
 
 
+def test_the_clock_of_all_sensors_may_be_set_ahead_by_months() -> None:
+    """As that of a computer without a battery-backed clock is when it gets the time from the network."""
+    check = MessageCheck()
+    for stamp in (1.6e9, 1.7e9):
+        check.checked(Odometry(stamp, POSE))
+        check.checked(scan(stamp=stamp))
+
+
 def test_a_run_goes_on_after_a_message_that_was_refused() -> None:
     messages = list(Simulation("room", seed=1, duration=4.0, lidar=LidarModel(beams=90)))
     slam, undisturbed = Slam(), Slam()
