@@ -69,7 +69,7 @@ class _DeviceReader:
     def __init__(self, pipe: Connection, job: Job, offset: float) -> None:
         self.stop = Event()
         specs = job.specs
-        self._pipe, self._job = pipe, job
+        self._pipe, self._job, self._clock_offset = pipe, job, offset
         self._outbox = Outbox(pipe)
         self._recorder: Recorder | None = None
         self._unrecorded: list[Message] = []  # before all devices ran
@@ -187,7 +187,8 @@ class _DeviceReader:
     def _snapshot(self) -> Snapshot:
         statuses = tuple(supervisor.status() for supervisor in self._supervisors)
         recording = None if self._recorder is None else self._recorder.status
-        return Snapshot(statuses, self._buffer.dropped + self._outbox.dropped, self._buffer.late, recording)
+        dropped = self._buffer.dropped + self._outbox.dropped
+        return Snapshot(statuses, dropped, self._buffer.late, recording, self._clock_offset)
 
 
 def acquire(pipe: Connection, job: Job, offset: float) -> None:

@@ -30,12 +30,14 @@ class Snapshot:
     dropped    messages dropped for lack of room because the consumer was slow; they are in the recording
     late       messages discarded because later ones had been delivered before they arrived
     recording  status of the recording; None if there is none
+    clock_offset  seconds from the steady clock to the stamps, as the wall clock was set at the start
     """
 
     devices: tuple[DeviceStatus, ...] = ()
     dropped: int = 0
     late: int = 0
     recording: RecordingStatus | None = None
+    clock_offset: float = 0.0
 
     @property
     def all_have_run(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -17,6 +17,7 @@ from ..devices.driving import DriveLimits
 from ..errors import DriverError
 from ..messages import Floats, Odometry
 from ..recordings.ros_messages import ODOMETRY, TRANSFORMS, decode
+from ..timestamps import wall_clock_offset
 from .encoder import NodeEncoder
 from .link import DEFAULT, MOVING_TRANSFORMS, Link
 from .receiver import RosReceiver
@@ -24,6 +25,10 @@ from .receiver import RosReceiver
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 VELOCITY_DURATION = 0.1
 """Seconds over which the published velocity is averaged: single readings differ by single counts of the encoders."""
+MIN_CLOCK_STEP = 0.1
+"""Seconds by which the wall clock was set if it differs by more; it is corrected by less by changing its rate, and that
+of the steady clock with it.
+"""
 RECEIVE_TIMEOUT = 0.05
 """Seconds after which it is checked whether the receiver was stopped."""
 
@@ -48,6 +53,8 @@ class RosWheelBase:
 
     failure   error of the base that ended the receiver, if any
 
+    Odometry is stamped by the wall clock as it is set now, as other nodes stamp their scans.
+
     Entering raises DriverError if the base does not respond.
     """
 
@@ -59,6 +66,7 @@ class RosWheelBase:
         self._acquisition = Acquisition([spec], driving=driving)
         self._encoder = NodeEncoder()
         self._recent: deque[Odometry] = deque()
+        self._clock_step = 0.0  # seconds by which the wall clock was set since the base was started
         self._thread = threading.Thread(target=self._run, name="base")
         self._put_transform = link.publish(topics.transforms, TRANSFORMS, MOVING_TRANSFORMS)
         self._put_odometry = link.publish(topics.odometry, ODOMETRY, DEFAULT)
@@ -93,11 +101,20 @@ class RosWheelBase:
                     self._acquisition.stop()
                 message = self._acquisition.receive(RECEIVE_TIMEOUT)
                 if isinstance(message, Odometry):
-                    self._publish(message)
-                    self._receiver.add_odometry(message)
+                    reading = self._on_wall_clock(message)
+                    self._publish(reading)
+                    self._receiver.add_odometry(reading)
         except DriverError as error:
             self.failure = error
         self._receiver.stop()
+
+    def _on_wall_clock(self, reading: Odometry) -> Odometry:
+        """Return a reading with its stamp by the wall clock as it is set now."""
+        step = wall_clock_offset() - self._acquisition.snapshot.clock_offset
+        if abs(step - self._clock_step) > MIN_CLOCK_STEP:
+            self._clock_step = step
+            self._recent.clear()
+        return replace(reading, stamp=reading.stamp + self._clock_step) if self._clock_step else reading
 
     def _publish(self, reading: Odometry) -> None:
         topics, encoder = self._topics, self._encoder

@@ -11,8 +11,10 @@ import pytest
 from drivers.bases import Velocity
 from drivers.devices.device_spec import parse_device
 from drivers.devices.driving import DriveLimits
+from drivers.devices.snapshot import Snapshot
 from drivers.messages import Odometry
 from drivers.recordings.ros_messages import ODOMETRY, TRANSFORMS, decode, planar_pose, planar_transform, type_store
+from drivers.ros2 import wheel_base
 from drivers.ros2.inputs import Inputs
 from drivers.ros2.link import DEFAULT
 from drivers.ros2.receiver import RosReceiver
@@ -79,6 +81,46 @@ def test_velocities_of_the_topic_drive_the_base_until_they_cease(stamped: bool) 
     assert speed == pytest.approx(10 * DRIVE.left / 0.02, rel=0.1)
     (transform,) = decode(link.sent["/tf"][9], TRANSFORMS, "cdr").transforms
     assert planar_transform(transform.transform) == pytest.approx(readings[9].pose)
+
+
+class ReadBase:
+    """An acquisition that delivers the readings of a base and ends."""
+
+    snapshot = Snapshot(clock_offset=1000.0)
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self.readings = [Odometry(1000.0 + 0.02 * step, np.array([0.01 * step, 0.0, 0.0])) for step in range(40)]
+
+    def __enter__(self) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    @property
+    def ended(self) -> bool:
+        return not self.readings
+
+    def receive(self, _: float) -> Odometry:
+        return self.readings.pop(0)
+
+
+def test_odometry_follows_a_wall_clock_that_is_set_while_the_base_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scans of other nodes do, too."""
+    offsets = iter([1000.0 + 0.001 * step + (1800.0 if step >= 20 else 0.0) for step in range(40)])
+    monkeypatch.setattr(wheel_base, "Acquisition", ReadBase)
+    monkeypatch.setattr(wheel_base, "wall_clock_offset", lambda: next(offsets))
+    link, arrived = MemoryLink(), []
+    receiver = RosReceiver(link, Inputs(base="kobuki"), arrived.append)
+    with RosWheelBase(link, parse_device("kobuki:/dev/base"), BaseTopics(), receiver, None):
+        wait_until(lambda: receiver.stopped)
+    stamps = [decode(data, ODOMETRY, "cdr").header.stamp for data in link.sent["/odom"]]
+    found = np.array([stamp.sec + stamp.nanosec * 1e-9 for stamp in stamps])
+    assert found[:20] == pytest.approx(1000.0 + 0.02 * np.arange(20))
+    assert found[20:] == pytest.approx(2800.02 + 0.02 * np.arange(20, 40))
+    assert arrived[-1].stamp == pytest.approx(found[-1])
+    speeds = [decode(data, ODOMETRY, "cdr").twist.twist.linear.x for data in link.sent["/odom"]]
+    assert speeds[-1] == pytest.approx(0.5)
 
 
 def test_nothing_listens_to_velocities_without_driving() -> None:
