@@ -28,7 +28,7 @@ class Device(ABC):
 
     bauds          bits per second to try, in this order
     dtr            state of the modem line DTR while the port is opened
-    start_timeout  seconds from the start to the first measurement
+    start_timeout  seconds from the start to the first measurement, and from messages to the next ones, at most
     identity       description by the device itself; empty until it was identified
     serial         serial number; empty if it has none or until it was identified
     required_serial  serial number that the device must have; empty for any

@@ -125,7 +125,15 @@ class Supervisor:
         self._problem = ""
         self._last_message_end: float | None = None  # end of the last message
         self._read_until = math.inf  # time of the last read; infinite while it is not connected
-        self._counts = {"messages": 0, "bytes_read": 0, "connections": 0, "losses": 0, "silences": 0, "pauses": 0}
+        self._counts = {
+            "messages": 0,
+            "bytes_read": 0,
+            "connections": 0,
+            "losses": 0,
+            "silences": 0,
+            "useless": 0,
+            "pauses": 0,
+        }
 
     def run(self, stop: Event) -> None:
         """Run until `stop` is set, the byte capture ends, or the first start fails; always halt the device."""
@@ -165,7 +173,8 @@ class Supervisor:
         """Return the current status.
 
         The supervisor adds to the device's counters: messages, bytes_read, connections made, losses of a connection,
-        and of these losses silences (the port is still there) and pauses (the computer was held up).
+        and of these losses silences (the port is still there), useless (its measurements made up no message) and
+        pauses (the computer was held up).
         """
         age = None if self._last_message_end is None else time.monotonic() - self._last_message_end
         port = "" if self._last_location is None else self._last_location[0]
@@ -219,7 +228,7 @@ class Supervisor:
         """Read until `stop` is set; raises SilenceError or ConnectionLostError."""
         try:
             device, started = self._device, time.monotonic()
-            self._read_until = started
+            self._read_until = last_message = started
             self.state = DeviceState.STARTING
             measurement_count, last_data = device.measurement_count, None
             before: float | None = None  # time of the last read; a capture has the clock of another computer
@@ -233,12 +242,19 @@ class Supervisor:
                     if last_data is None:
                         self._counts["connections"] += 1
                         self.state, self._has_run = DeviceState.RUNNING, True
+                        last_message = time.monotonic()
                     measurement_count, last_data = device.measurement_count, received.time
                 elif last_data is None and time.monotonic() > started + device.start_timeout:
                     raise NoResponseError(transport.name, f"{device.identity} sends no measurements")
                 elif last_data is not None and received.time > last_data + SILENCE_TIMEOUT:
                     self._counts["silences"] += 1
                     raise SilenceError(f"{transport.name}: no measurements for {SILENCE_TIMEOUT:g} s")
+                if messages:
+                    last_message = time.monotonic()
+                elif time.monotonic() > last_message + device.start_timeout:
+                    self._counts["useless"] += 1
+                    reason = "no whole turn; does its head turn?" if self.spec.is_lidar else "no odometry"
+                    raise SilenceError(f"{transport.name}: {device.identity} measures, but {reason}")
                 self._deliver(messages)
                 self._read_until = received.time
         finally:

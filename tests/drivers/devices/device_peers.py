@@ -100,10 +100,13 @@ class ScipPeer:
 
 
 class OldRplidar:
-    """An RPLIDAR with firmware without scan modes: A1, or A2 on its USB board. 2 000 nodes per second."""
+    """An RPLIDAR with firmware without scan modes: A1, or A2 on its USB board. 2 000 nodes per second.
 
-    def __init__(self, model: int) -> None:
-        self.model = model
+    stuck_after  seconds from the start of a scan after which its head stands still
+    """
+
+    def __init__(self, model: int, stuck_after: float = math.inf) -> None:
+        self.model, self.stuck_after = model, stuck_after
         self.reader = requests.RequestReader()
         self.received: list[requests.Request] = []
         self.begun: float | None = None
@@ -113,8 +116,9 @@ class OldRplidar:
         sent = b"".join(self.answer(request) for request in self.reader.feed(received))
         if self.begun is not None:
             due = int((time.monotonic() - self.begun) * 2000) - self.node
-            turns = (self.node + np.arange(due)) * 5.5 / 2000 + 1e-9
-            starts = np.diff(np.floor(turns), prepend=np.floor(turns[0] - 5.5 / 2000)) > 0 if due else np.empty(0, bool)
+            nodes = np.minimum(self.node + np.arange(-1, due), self.stuck_after * 2000)
+            turns = nodes[1:] * 5.5 / 2000 + 1e-9
+            starts = np.diff(np.floor(nodes * 5.5 / 2000 + 1e-9)) > 0
             sent += standard.encode(2 * np.pi * turns, np.full(due, 2.0), np.full(due, 20), starts)
             self.node += due
         return sent

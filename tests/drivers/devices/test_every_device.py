@@ -22,6 +22,7 @@ from drivers.devices import ports
 from drivers.devices import supervisor as supervisor_module
 from drivers.devices.device_spec import parse_device
 from drivers.devices.probing import probe
+from drivers.devices.rplidar import RplidarDevice
 from drivers.devices.supervisor import DeviceState, Supervisor
 from drivers.devices.wheel_base import POLL_TIMEOUT, WAKE_PULSE
 from drivers.errors import DriverError
@@ -128,6 +129,22 @@ def test_old_rplidars_scan_and_stop_their_motors(model: int, duties: list[int]) 
     # The median, because a busy computer runs the emulated lidar late, which looks like lost nodes.
     assert np.median(np.diff([message.stamp for message in messages])) == pytest.approx(1 / 5.5, abs=0.01)
     assert sent_duties(peer) == duties
+
+
+@pytest.mark.parametrize("stuck_after", [0.01, 1.0])
+def test_a_lidar_whose_head_is_stuck_is_named_and_started_again(
+    monkeypatch: pytest.MonkeyPatch, stuck_after: float
+) -> None:
+    """It goes on to send measurements, all in one direction."""
+    monkeypatch.setattr(RplidarDevice, "start_timeout", 1.0)
+    peer = OldRplidar(0x18, stuck_after)
+    with plugged(peer) as path:
+        supervisor, _ = run_supervisor(
+            f"rplidar:{path}", until=lambda one, _: one.status().counters["connections"] == 2
+        )
+    assert supervisor.status().counters["useless"] == 1
+    assert supervisor.status().problem.endswith("mode Standard measures, but no whole turn; does its head turn?")
+    assert [request.command for request in peer.received].count(Command.SCAN) == 2
 
 
 def sent_duties(peer: OldRplidar) -> list[int]:
