@@ -17,7 +17,10 @@
   };
   const connect = () => {
     socket = new WebSocket(`ws://${location.host}/live${location.search}`);
+    let isFirst = true;
     socket.onmessage = (message) => {
+      if (isFirst) for (const name of Object.keys(parts)) delete parts[name]; // it may be another run
+      isFirst = false;
       Object.assign(parts, JSON.parse(message.data));
       $("grid").hidden = !Object.keys(parts).some((name) => name.startsWith("tile "));
       dirty = answer = true;

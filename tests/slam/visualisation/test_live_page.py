@@ -38,8 +38,8 @@ POSE = np.array([1.0, 2.0, 0.5])
 
 
 @contextmanager
-def served(state: LiveState | None = None, address: str = "127.0.0.1") -> Iterator[PageServer]:
-    with PageServer(state or LiveState(), address, None) as server:
+def served(state: LiveState | None = None, address: str = "127.0.0.1", port: int | None = None) -> Iterator[PageServer]:
+    with PageServer(state or LiveState(), address, port) as server:
         yield server
 
 
@@ -354,6 +354,29 @@ def test_a_browser_shows_the_grid_if_it_is_switched_on(tmp_path: Path) -> None:
         with GridLayer(state, lambda: np.zeros((1, 2))) as layer:
             layer.handle(keyframe(0, wall, np.zeros(3)))
         run(test)
+
+
+@in_a_browser
+def test_a_browser_forgets_the_run_before_when_it_connects_to_another_one(tmp_path: Path) -> None:
+    """A page that stays open connects again if `wclm live` is started again."""
+    before, after = LiveState(), LiveState()
+    before.handle(ScanTracked(10.0, POSE, POSE, 0.9, 4, np.zeros((3, 2))))
+    wall = np.column_stack([np.full(401, 4.0), np.linspace(-4.0, 4.0, 401)])
+    after.update(state="LOST")
+
+    async def test() -> None:
+        assert CHROMIUM is not None
+        async with browser(CHROMIUM, tmp_path / "profile") as tab:
+            with served(before) as server, GridLayer(before, lambda: np.zeros((1, 2))) as layer:
+                layer.handle(keyframe(0, wall, np.zeros(3)))
+                await tab.open(server.url, 900, 700, mobile=False)
+                await tab.wait("!document.getElementById('grid').hidden")
+            with served(after, port=server.port):
+                await tab.wait("document.getElementById('state').textContent === 'LOST'")
+                assert await tab.evaluate("document.getElementById('grid').hidden")
+                assert await tab.evaluate("document.getElementById('pose').textContent") == ""
+
+    run(test)
 
 
 @in_a_browser
