@@ -5,9 +5,10 @@
   const draw2d = canvas.getContext("2d");
   const DRIVE_PERIOD = 100; // ms; the robot stops half a second after the last command
   const RETRY_PERIOD = 1000; // ms
+  const SILENCE = 5000; // ms; devices are shown every second. A network that is lost is noticed only after minutes
   const MIN_SCALE = 1, MAX_SCALE = 1000; // pixels per metre
   const parts = {};
-  let socket = null, dirty = true, answer = false;
+  let socket = null, dirty = true, answer = false, heard = 0, silent = false;
   let view = { x: 0, y: 0, scale: 40 }, mode = "fit"; // metres in the map at the middle; fit, follow or free
 
   // Connection
@@ -24,8 +25,13 @@
       Object.assign(parts, JSON.parse(message.data));
       $("grid").hidden = !Object.keys(parts).some((name) => name.startsWith("tile "));
       dirty = answer = true;
+      heard = performance.now();
     };
-    socket.onopen = () => { document.body.classList.add("connected"); dirty = true; };
+    socket.onopen = () => {
+      document.body.classList.add("connected");
+      dirty = true;
+      heard = performance.now();
+    };
     socket.onclose = () => {
       document.body.classList.remove("connected");
       release();
@@ -66,12 +72,13 @@
   };
   let shownStatus = null;
   const showTexts = () => {
-    const online = document.body.classList.contains("connected"), status = parts.status;
+    const connected = document.body.classList.contains("connected"), status = parts.status;
+    const online = connected && !silent;
     const pose = parts.pose && parts.pose.pose;
     $("pose").textContent = pose
       ? `${pose[0].toFixed(2)} m, ${pose[1].toFixed(2)} m, ${Math.round(pose[2] * 180 / Math.PI)}°${sigma()}` : "";
     if (!status) return;
-    const ended = status.finished ? "the run is over" : "no connection";
+    const ended = status.finished ? "the run is over" : connected ? "no data from the robot" : "no connection";
     $("note").textContent = online && !status.finished ? (status.paused ? "paused; " : "") + (status.frozen ? "only localising; " : "") + status.message : ended;
     $("state").textContent = status.state;
     $("state").className = `badge ${online || status.finished ? status.state : ""}`;
@@ -208,6 +215,10 @@
     scale.lastElementChild.textContent = metres >= 1 ? `${metres} m` : `${Math.round(1000 * metres) / 10} cm`;
   };
   const show = () => {
+    if (silent !== (performance.now() > heard + SILENCE)) {
+      silent = !silent;
+      dirty = true;
+    }
     if (dirty) {
       dirty = false;
       showTexts();

@@ -380,6 +380,27 @@ def test_a_browser_forgets_the_run_before_when_it_connects_to_another_one(tmp_pa
 
 
 @in_a_browser
+@pytest.mark.slow
+def test_a_browser_states_that_nothing_arrives_any_more(tmp_path: Path) -> None:
+    """As on a phone that has left the network: it learns of that only after minutes."""
+    state = LiveState()
+    note = "document.getElementById('note').textContent"
+
+    async def test() -> None:
+        assert CHROMIUM is not None
+        async with browser(CHROMIUM, tmp_path / "profile") as tab:
+            await tab.open(server.url, 900, 700, mobile=False)
+            state.update(message="map saved")
+            await tab.wait(f"{note} === 'map saved'")
+            await tab.wait(f"{note} === 'no data from the robot'")
+            state.update(message="map saved again")
+            await tab.wait(f"{note} === 'map saved again'")
+
+    with served(state) as server:
+        run(test)
+
+
+@in_a_browser
 @pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 800, False), (390, 844, True)])
 def test_a_browser_shows_the_run_and_drives(
     width: int, height: int, mobile: bool, finished: Finished, tmp_path: Path
