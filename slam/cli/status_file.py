@@ -41,12 +41,13 @@ class StatusFile:
         if path.is_dir():
             raise OutputError(f"{path}: is a directory, and the file with the status must be named")
         self._path, self._out = path, out.resolve()
-        self._started, self._written, self._problem = time.time(), float("-inf"), ""
+        self._started, self._written, self._problem = time.monotonic(), float("-inf"), ""
         self._values: dict[str, Any] = {
             "state": "OK", "frozen": False, "scans": 0, "pose": None, "map": {}, "notice": "",
         }  # fmt: skip
         self._loops: Counter[str] = Counter()
         self._scanned: float | None = None
+        self._clock_offset = 0.0  # from the steady clock to the stamps; the wall clock may be set during the run
         self._devices: dict[str, Any] = {"devices": [], "dropped": 0, "recording": None}
         try:
             self._write(running=True)
@@ -96,6 +97,7 @@ class StatusFile:
             "seconds": snapshot.recording.duration,
             "problem": snapshot.recording.problem,
         }
+        self._clock_offset = snapshot.clock_offset
         self._devices = {"devices": devices, "dropped": snapshot.dropped, "recording": recording}
 
     def _try_to_write(self, *, running: bool) -> None:
@@ -108,13 +110,13 @@ class StatusFile:
             self._problem = str(error)
 
     def _write(self, *, running: bool) -> None:
-        self._written, now = time.monotonic(), time.time()
+        self._written = now = time.monotonic()
         content = {
-            "time": now,
+            "time": time.time(),
             "running": running,
             "seconds": now - self._started,
             **self._values,
-            "delay": None if self._scanned is None else now - self._scanned,
+            "delay": None if self._scanned is None else now + self._clock_offset - self._scanned,
             "loops": dict(self._loops),
             **self._devices,
             "saved": _modified(self._out / SUMMARY),

@@ -81,7 +81,7 @@ class LiveDashboard:
 
         table = Table.grid(padding=(0, 2))
         minutes, seconds = divmod(int(time.monotonic() - self._start), 60)
-        table.add_row("time", f"{minutes}:{seconds:02d}{self._delay()}")
+        table.add_row("time", f"{minutes}:{seconds:02d}{self._delay(snapshot.clock_offset)}")
         mode = ", the map is only localised in" if self._frozen else ""
         table.add_row("status", f"[bold {COLOURS[self._state]}]{self._state}[/]{mode}")
         if self._scan is not None:
@@ -100,9 +100,11 @@ class LiveDashboard:
             table.add_row("", self._drive_keys)
         return table
 
-    def _delay(self) -> str:
-        """Return the delay of the estimate after the measurement."""
-        return "" if self._scan is None else f", delay {max(0.0, time.time() - self._scan.stamp):.1f} s"
+    def _delay(self, clock_offset: float) -> str:
+        """Return the delay of the estimate after the measurement, also if the wall clock was set since the start."""
+        if self._scan is None:
+            return ""
+        return f", delay {max(0.0, time.monotonic() + clock_offset - self._scan.stamp):.1f} s"
 
 
 def _device_table(snapshot: Snapshot, rates: Rates) -> Table:

@@ -28,6 +28,7 @@ from drivers.messages import Odometry, Scan
 from drivers.recordings.mcap import McapReader
 from slam.cli.commands.live_dashboard import LiveDashboard
 from slam.cli.console import EXIT_USER_ERROR
+from slam.cli.status_file import StatusFile
 from slam.errors import OutputError
 from slam.evaluation.metrics import score_reference
 from slam.events import Notice, ScanTracked, StateChanged
@@ -303,20 +304,36 @@ def test_invalid_arguments_are_refused_before_devices_start(wclm: Any, tmp_path:
     wclm.refuses(*run, because=["map: exists already"])
 
 
+def test_the_status_file_is_right_if_the_wall_clock_is_set_during_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As on a computer without a battery-backed clock that gets the time from the network."""
+    status = StatusFile(tmp_path / "status.json", tmp_path / "map")
+    status.handle(ScanTracked(time.monotonic() + 999.0, np.zeros(3), np.zeros(3), 0.9, 1))
+    now = time.time() + 1e7
+    monkeypatch.setattr(time, "time", lambda: now)
+    status.close(Snapshot(clock_offset=1000.0))
+    content = json.loads((tmp_path / "status.json").read_text())
+    assert content["time"] == now
+    assert 1.0 <= content["delay"] < 1e5
+    assert 0.0 <= content["seconds"] < 1e5
+
+
 def test_dashboard_shows_pose_status_and_device_counters(capsys: pytest.CaptureFixture[str]) -> None:
     dashboard = LiveDashboard()
     pose = np.array([1.25, -0.5, np.pi / 2])
-    dashboard.handle(ScanTracked(time.time() - 0.25, pose, pose, 0.93, 7))
+    dashboard.handle(ScanTracked(time.monotonic() + 900.0, pose, pose, 0.93, 7))
     dashboard.handle(StateChanged(3.0, "LOST", None))
     dashboard.handle(Notice(3.0, "the scan fits nowhere near; left out"))
     counters = {"messages": 42, "connections": 2, "losses": 1, "bad": 0}
     status = DeviceStatus("create2:/dev/a", False, DeviceState.LOST, "/dev/a", "Create 2", "unplugged", 0.1, counters)
-    snapshot = Snapshot((status,), dropped=3, late=4)
+    snapshot = Snapshot((status,), dropped=3, late=4, clock_offset=1000.0)
     console = Console(width=120, record=True, file=io.StringIO())
     console.print(dashboard.render(snapshot, {("create2:/dev/a", "messages"): 66.7}))
     shown = console.export_text()
     for words in (
         "1.25 m, -0.50 m, 90°",
+        "delay 100.",
         "LOST",
         "93 %",
         "3, 4",
