@@ -42,6 +42,10 @@ STATIC_TRANSFORMS = QoS(depth=100, latched=True)
 """Of /tf_static, which every publisher latches."""
 LATCHED = QoS(depth=1, latched=True)
 """Of maps, as Nav2 expects them."""
+VELOCITIES = QoS(depth=1, reliable=False)
+"""Of velocities to drive, received from publishers of either reliability. Lost ones are not sent again: after a fault
+of the network the robot would drive at velocities of the past.
+"""
 DEFAULT = QoS()
 
 

@@ -19,7 +19,7 @@ from ..messages import Floats, Odometry
 from ..recordings.ros_messages import ODOMETRY, TRANSFORMS, decode
 from ..timestamps import wall_clock_offset
 from .encoder import NodeEncoder
-from .link import DEFAULT, MOVING_TRANSFORMS, Link
+from .link import DEFAULT, MOVING_TRANSFORMS, VELOCITIES, Link
 from .receiver import RosReceiver
 
 TWIST, TWIST_STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
@@ -71,7 +71,7 @@ class RosWheelBase:
         self._put_transform = link.publish(topics.transforms, TRANSFORMS, MOVING_TRANSFORMS)
         self._put_odometry = link.publish(topics.odometry, ODOMETRY, DEFAULT)
         if driving is not None:
-            link.subscribe(topics.velocity, TWIST_STAMPED if topics.stamped else TWIST, DEFAULT, self._drive)
+            link.subscribe(topics.velocity, TWIST_STAMPED if topics.stamped else TWIST, VELOCITIES, self._drive)
 
     def __enter__(self) -> Self:
         self._acquisition.__enter__()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,8 +18,10 @@ from drivers.messages import Odometry
 from drivers.recordings.ros_messages import ODOMETRY, TRANSFORMS, decode, planar_pose, planar_transform, type_store
 from drivers.ros2 import wheel_base
 from drivers.ros2.inputs import Inputs
-from drivers.ros2.link import DEFAULT
+from drivers.ros2.link import DEFAULT, QoS
+from drivers.ros2.names import NodeNames
 from drivers.ros2.receiver import RosReceiver
+from drivers.ros2.selection import Backend, open_link
 from drivers.ros2.wheel_base import TWIST, TWIST_STAMPED, BaseTopics, RosWheelBase
 
 from ...memory_link import MemoryLink
@@ -88,6 +92,8 @@ class ReadBase:
 
     snapshot = Snapshot(clock_offset=1000.0)
 
+    driven: ClassVar[list[tuple[float, float]]] = []
+
     def __init__(self, *_: object, **__: object) -> None:
         self.readings = [Odometry(1000.0 + 0.02 * step, np.array([0.01 * step, 0.0, 0.0])) for step in range(40)]
 
@@ -103,6 +109,9 @@ class ReadBase:
 
     def receive(self, _: float) -> Odometry:
         return self.readings.pop(0)
+
+    def drive(self, speed: float, turn_rate: float) -> None:
+        self.driven.append((speed, turn_rate))
 
 
 def test_odometry_follows_a_wall_clock_that_is_set_while_the_base_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,6 +130,24 @@ def test_odometry_follows_a_wall_clock_that_is_set_while_the_base_is_read(monkey
     assert arrived[-1].stamp == pytest.approx(found[-1])
     speeds = [decode(data, ODOMETRY, "cdr").twist.twist.linear.x for data in link.sent["/odom"]]
     assert speeds[-1] == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("reliable", [False, True])
+def test_velocities_of_publishers_of_either_reliability_arrive(
+    backend: Backend, monkeypatch: pytest.MonkeyPatch, reliable: bool
+) -> None:
+    """Joysticks and small boards often publish at best effort."""
+    monkeypatch.setattr(wheel_base, "Acquisition", ReadBase)
+    monkeypatch.setattr(ReadBase, "driven", [])
+    with (
+        closing(open_link(NodeNames(), backend)) as link,
+        closing(open_link(NodeNames("joystick"), backend)) as joystick,
+    ):
+        receiver = RosReceiver(link, Inputs(base="kobuki"))
+        RosWheelBase(link, parse_device("kobuki:/dev/base"), BaseTopics(), receiver, DriveLimits())
+        put = joystick.publish("/cmd_vel", TWIST, QoS(reliable=reliable))
+        wait_until(lambda: bool(ReadBase.driven), lambda: put(twist(0.1, -0.2, False)))
+    assert set(ReadBase.driven) == {(0.1, -0.2)}
 
 
 def test_nothing_listens_to_velocities_without_driving() -> None:
