@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,6 +17,7 @@ from drivers.ros2.link import Link
 from drivers.ros2.names import NodeNames
 from drivers.ros2.services import decode_request, encode_response
 
+from ..errors import OutputError
 from ..io.exports import Occupancy, write_pgm, write_pgm_yaml
 from ..io.unfinished_file import unfinished_file
 from .outputs import message_grid
@@ -90,8 +93,8 @@ class NodeServices:
         if current is None:
             self._report("save_map: there is no map yet")
             return {"result": NO_MAP}
-        picture, settings = Path(f"{name}.pgm"), Path(f"{name}.yaml")
         try:
+            picture, settings = _path(f"{name}.pgm"), _path(f"{name}.yaml")
             with unfinished_file(picture, True) as pixels, unfinished_file(settings, True) as yaml:
                 write_pgm(pixels, current[1])
                 write_pgm_yaml(yaml, current[1], image=picture.name)
@@ -105,12 +108,17 @@ class NodeServices:
         if not request.filename:
             self._report("serialize_map: no name of a directory")
             return {"result": FAILURE}
-        return {"result": SUCCESS if self._control.request(Save(Path(request.filename))) else FAILURE}
+        try:
+            directory = _path(request.filename)
+        except OutputError as error:
+            self._report(f"serialize_map: {error}")
+            return {"result": FAILURE}
+        return {"result": SUCCESS if self._control.request(Save(directory)) else FAILURE}
 
     def _deserialize(self, request: Any) -> dict[str, Any]:
         """Begin with a session; if it cannot be read, the present run goes on. The response has no result."""
         try:
-            session = self._read_session(Path(request.filename))
+            session = self._read_session(_path(request.filename))
         except SlamError as error:
             self._report(f"deserialize_map: {error}")
         else:
@@ -137,3 +145,15 @@ class NodeServices:
     def _reset(self, request: Any) -> dict[str, Any]:
         self._receiver.paused = bool(request.pause_new_measurements)
         return {"result": SUCCESS if self._control.request(Restart(None, False)) else FAILURE}
+
+
+def _path(name: str) -> Path:
+    """Return the path with a name from another computer; raises OutputError if no file can have it."""
+    try:
+        os.lstat(name)
+    except ValueError as error:
+        raise OutputError(f"{name!r}: no file can have this name") from error
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            raise OutputError(f"{name[:40]}...: no file can have a name as long") from error
+    return Path(name)
