@@ -43,7 +43,7 @@ from .stamp_check import Refusal, StampCheck
 MAX_WAITING_SCANS = 40
 """Scans of each lidar that wait for a busy consumer before the oldest is dropped: some seconds of a common lidar."""
 
-TOO_SLOW = "dropped, as scans arrive faster than they are processed"
+TOO_SLOW = "scans arrive faster than they are processed"
 NO_MOUNT = "dropped, as no transform connects the scan's frame with the base"
 PAUSED = "dropped while new measurements are paused"
 THROTTLED = "dropped by throttle_scans"

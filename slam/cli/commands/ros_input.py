@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from drivers.messages import Odometry, Scan, SourceReport
-from drivers.ros2.receiver import MAX_WAITING_SCANS
+from drivers.ros2.receiver import MAX_WAITING_SCANS, NO_MOUNT, PAUSED, THROTTLED
 
 from ...preprocessing.deskew import lidar_mount
 from ...ros.run_control import Restart, RestartRequestedError, Save, SetMode
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from ..mode_switch import ModeSwitch
     from ..run_setup import RunSetup
 
+EXPECTED = (PAUSED, THROTTLED, NO_MOUNT)
+"""Reasons for which messages are dropped that the user has set, or that are named in another way."""
 STOP_MESSAGE = "stopping; Ctrl-C again discards the map"
 
 
@@ -71,6 +73,7 @@ class RosInput:
         self._duration, self._keep, self._control = duration, keep, control
         self._modes = modes
         self._missing: list[str] = []
+        self._named = {*EXPECTED, *receiver.report.reasons}  # reasons for which messages were dropped
         self._idle: Callable[[], None] = lambda: None
 
     @property
@@ -130,7 +133,9 @@ class RosInput:
         yield from held or ()
 
     def _after_each(self) -> None:
-        """End the run if a service requests it or the clock is set back; print what is missing when that changes."""
+        """End the run if a service requests it or the clock is set back; print what is missing when that changes, and
+        each reason for which messages are dropped once.
+        """
         self._idle()
         if isinstance(self._control.pending, Restart):
             raise RestartRequestedError
@@ -149,3 +154,7 @@ class RosInput:
             for line in news if missing else ["scans, odometry and transforms arrive"]:
                 print_message(line)
             self._missing = missing
+        for reason in tuple(self.report.reasons):  # other threads add to it
+            if reason not in self._named:
+                self._named.add(reason)
+                print_message(f"a message was dropped: {reason}")

@@ -14,7 +14,7 @@ from drivers import se2
 from drivers.messages import Floats, Scan
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.recordings.ros_messages import LASER_SCAN, TRANSFORMS, LidarMount, decode, planar_pose, scan_of
-from drivers.ros2.encoder import GRID, POSE_WITH_COVARIANCE
+from drivers.ros2.encoder import GRID, POSE_WITH_COVARIANCE, NodeEncoder
 from slam.io.sessions import read_session
 
 from ...memory_link import MemoryLink
@@ -161,6 +161,16 @@ def test_a_lidar_upside_down_is_taken_from_its_transform(
     run_node(link, messages, tmp_path / "out", {})
     for stamp, *pose in poses(link)[5:]:
         assert pose == pytest.approx(normal.at(stamp), abs=0.03)
+
+
+def test_reasons_for_which_messages_are_dropped_are_printed_once(robot: list[Published], tmp_path: Path) -> None:
+    """A node runs for weeks, so its summary comes too late."""
+    start = Published(
+        0.0, "/initialpose", POSE_WITH_COVARIANCE, NodeEncoder().pose(0.0, "odom", np.array(MOUNT), np.eye(3))
+    )
+    messages = [item for item in robot if item.arrival < START + 2.0]
+    output = run_node(MemoryLink(), [*messages[:50], start, start, *messages[50:]], tmp_path / "out", {})
+    assert output.count("wclm: a message was dropped: initial pose in another frame than the map's") == 1
 
 
 def test_a_map_that_stays_the_same_is_sent_again(robot: list[Published], tmp_path: Path) -> None:
