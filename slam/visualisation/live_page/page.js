@@ -93,8 +93,8 @@
     $("pause").setAttribute("aria-pressed", String(status.paused));
     stick.hidden = !status.can_drive;
     facts({ ...status.counts, ...(parts.scan && parts.scan.overlap !== null ? { overlap: `${Math.round(100 * parts.scan.overlap)} %` } : {}) });
-    list("doubts", status.doubts.toReversed().map(([time, text]) => ["", time, text]));
-    list("closures", status.closures.toReversed().map(([time, name, text]) => [name, time, `${name}: ${text}`]));
+    list("doubts", [...status.doubts].reverse().map(([time, text]) => ["", time, text]));
+    list("closures", [...status.closures].reverse().map(([time, name, text]) => [name, time, `${name}: ${text}`]));
     list("devices", (status.devices || []).map(([name, state, faults]) =>
       [faults || state !== "running" ? "fault" : "", null, `${name}: ${state}${faults ? `, ${faults}` : ""}`]));
   };
@@ -106,7 +106,8 @@
   const picture = (name, tile) => {
     const before = pictures.get(name);
     if (before && before.tile === tile) return before.canvas;
-    const codes = atob(tile.cells), shown = new OffscreenCanvas(tile.count, tile.count);
+    const codes = atob(tile.cells), shown = document.createElement("canvas"); // browsers of tablets are often old
+    shown.width = shown.height = tile.count;
     const image = new ImageData(tile.count, tile.count);
     for (let k = 0; k < tile.count ** 2; k++) {
       image.data.set(COLOURS[(codes.charCodeAt(k >> 2) >> (2 * (k & 3))) & 3], 4 * k);
