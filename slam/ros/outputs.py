@@ -71,7 +71,8 @@ class _RunState:
 
     extrapolator     extrapolates the pose of the last scan
     localised        True once the robot was not LOST: before that, the map's frame is unknown
-    transform_stamp  stamp of the last odometry reading with a transform, `status_stamp` that of the last status
+    transform_stamp  stamp of the last odometry reading with a transform, `status_stamp` that of the last status,
+                 `reading_stamp` that of the last reading
     counts           sizes of map and graph
     frozen           True while the map is only localised in
     closures         keyframe at which each loop was closed -> keyframe that saw the place before
@@ -81,6 +82,7 @@ class _RunState:
     localised: bool = False
     transform_stamp: float = float("-inf")
     status_stamp: float = float("-inf")
+    reading_stamp: float = float("-inf")
     status: LocalisationStatus = LocalisationStatus.OK
     counts: dict[str, str] = field(default_factory=dict)
     closures: dict[int, int] = field(default_factory=dict)
@@ -115,6 +117,8 @@ class NodeOutputs:
         self._grid_sent_at = float("-inf")  # on the steady clock
         self._run = _RunState()
         self._grid: LiveGrid | None = None
+        self._missing: list[str] = []
+        self._missing_sent_at = float("-inf")  # on the steady clock
 
     def begin(self, session: StoredSession | None, delay: float = 0.0) -> None:
         """Begin a run, with the keyframes of a session that it continues.
@@ -174,6 +178,20 @@ class NodeOutputs:
                 self._publish_markers(float(event.stamps[-1]), event.walls, event.corners, event.keyframes)
                 self._publish_status(float(event.stamps[-1]))
 
+    def report_missing(self, missing: list[str]) -> None:
+        """Publish that something has not arrived for some seconds, as lines of text, or arrives again (empty).
+
+        To be called often: while scans are missing, nothing else publishes that the pose is by odometry alone.
+        """
+        now = time.monotonic()
+        if missing == self._missing and not (missing and now >= self._missing_sent_at + DIAGNOSTICS_PERIOD):
+            return
+        self._missing, self._missing_sent_at = missing, now
+        run = self._run
+        stamp = max(run.status_stamp, run.reading_stamp + self.shift)
+        if np.isfinite(stamp):
+            self._publish_status(stamp)
+
     def publish_pose(self, reading: Odometry) -> None:
         """Publish the pose at an odometry reading, and the transform to the odometry's frame.
 
@@ -182,6 +200,7 @@ class NodeOutputs:
         transform_publish_period says. Nothing is published before the first scan, and no transform before the robot
         was recognised in the map of a session: navigation would take any pose there for the robot's.
         """
+        self._run.reading_stamp = reading.stamp
         self._publish(self._run.extrapolator.at(reading))
 
     def _publish(self, now: ExtrapolatedPose | None) -> None:
@@ -217,6 +236,8 @@ class NodeOutputs:
         level, text = LEVELS[run.status], run.status.value
         if run.suspects:
             level, text = max(level, Level.WARN), f"{text}, SUSPECT {run.suspects[0]}"
+        if self._missing:
+            level, text = max(level, Level.WARN), f"{text}, {self._missing[0]}"
         mode = "localization" if run.frozen else "mapping"
         values = {**run.counts, "mode": mode, "notice": run.notice, "grid": self._grid.problem if self._grid else ""}
         name = f"{self._node}: localisation"

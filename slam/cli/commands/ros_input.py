@@ -149,6 +149,7 @@ class RosInput:
         if self._receiver.clock_was_set_back:
             raise _ContinuationError if self._modes.extends_map else RestartRequestedError
         missing = self._receiver.missing()
+        self._outputs.report_missing(missing)
         if missing != self._missing:
             news = [line for line in missing if line not in self._missing]
             for line in news if missing else ["scans, odometry and transforms arrive"]:
