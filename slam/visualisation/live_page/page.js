@@ -79,7 +79,8 @@
       ? `${pose[0].toFixed(2)} m, ${pose[1].toFixed(2)} m, ${Math.round(pose[2] * 180 / Math.PI)}°${sigma()}` : "";
     if (!status) return;
     const ended = status.finished ? "the run is over" : connected ? "no data from the robot" : "no connection";
-    $("note").textContent = online && !status.finished ? (status.paused ? "paused; " : "") + (status.frozen ? "only localising; " : "") + status.message : ended;
+    const lost = (status.devices || []).filter(([, state]) => state === "lost").map(([name]) => `${name} is lost; `).join("");
+    $("note").textContent = online && !status.finished ? lost + (status.paused ? "paused; " : "") + (status.frozen ? "only localising; " : "") + status.message : ended;
     $("state").textContent = status.state;
     $("state").className = `badge ${online || status.finished ? status.state : ""}`;
     if (shownStatus === status) return;

@@ -430,6 +430,7 @@ def test_a_browser_shows_the_run_and_drives(
                 "Extend map",
                 "odometry <b>slipped</b>",
                 "ld06:/dev/a: lost, losses 1",
+                "ld06:/dev/a is lost; only localising",
             ):
                 assert text in document
             assert await tab.evaluate("document.documentElement.scrollWidth") == width
