@@ -117,6 +117,7 @@ class Supervisor:
         self.failure: SlamError | None = None
         self.state = DeviceState.CONNECTING
         self._put = put
+        self._is_played = spec.address.startswith(CAPTURE_PREFIX)
         self._device: Device = make_device(spec, driver)
         self._device.read_pause = PROMPT_READ_PAUSE if prompt else READ_PAUSE
         self._last_location: tuple[str, int] | None = None  # address and baud rate of the last connection
@@ -225,7 +226,10 @@ class Supervisor:
         return transport
 
     def _run_connected(self, transport: Transport, stop: Event) -> None:
-        """Read until `stop` is set; raises SilenceError or ConnectionLostError."""
+        """Read until `stop` is set; raises SilenceError or ConnectionLostError.
+
+        A byte capture in which the device was lost is played on: it would begin again if it were connected again.
+        """
         try:
             device, started = self._device, time.monotonic()
             self._read_until = last_message = started
@@ -246,12 +250,12 @@ class Supervisor:
                     measurement_count, last_data = device.measurement_count, received.time
                 elif last_data is None and time.monotonic() > started + device.start_timeout:
                     raise NoResponseError(transport.name, f"{device.identity} sends no measurements")
-                elif last_data is not None and received.time > last_data + SILENCE_TIMEOUT:
+                elif last_data is not None and received.time > last_data + SILENCE_TIMEOUT and not self._is_played:
                     self._counts["silences"] += 1
                     raise SilenceError(f"{transport.name}: no measurements for {SILENCE_TIMEOUT:g} s")
                 if messages:
                     last_message = time.monotonic()
-                elif time.monotonic() > last_message + device.start_timeout:
+                elif time.monotonic() > last_message + device.start_timeout and not self._is_played:
                     self._counts["useless"] += 1
                     reason = "no whole turn; does its head turn?" if self.spec.is_lidar else "no odometry"
                     raise SilenceError(f"{transport.name}: {device.identity} measures, but {reason}")

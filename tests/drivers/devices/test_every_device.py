@@ -371,6 +371,20 @@ def test_the_supervisor_ends_with_the_byte_capture(tmp_path: Path) -> None:
     assert len(messages) >= 2  # the last scan may be incomplete
 
 
+def test_a_byte_capture_in_which_the_device_was_silent_is_played_on(tmp_path: Path) -> None:
+    """It is what is attached to a report about a device that was lost."""
+    capture = tmp_path / "ld06.tape"
+    with plugged(Ld06Peer()) as path:
+        run_supervisor(f"ld06:{path}?tape={capture}", 10)
+    lines = capture.read_text().splitlines()
+    late = [f"{float(line.split()[0]) + 1.5:.9f} {line.split(maxsplit=1)[1]}" for line in lines[len(lines) // 2 :]]
+    capture.write_text("\n".join([*lines[: len(lines) // 2], *late, ""]))
+    supervisor, messages = run_supervisor(f"ld06:tape:{capture}", until=lambda *_: False)
+    assert supervisor.state is DeviceState.ENDED
+    assert supervisor.status().counters["connections"] == 1
+    assert 5 <= len(messages) <= 12
+
+
 def test_a_byte_capture_of_another_computer_is_played(tmp_path: Path) -> None:
     """Its steady clock has been running for longer."""
     capture, other = tmp_path / "ld06.tape", tmp_path / "other.tape"
