@@ -218,7 +218,8 @@ def parse_device(text: str) -> DeviceSpec:
     kind = _kind(name) if colon else None
     if kind is None:
         known = ", ".join(f"{known}:PORT" for known in (*DEVICE_KINDS, *external_kinds()))
-        raise SpecError(f"{text}: not a device; there are {known}")
+        others = "; other lidars can be used by wclm ros, if they have a driver for ROS 2" if colon else ""
+        raise SpecError(f"{text}: not a device; there are {known}{others}")
     address, _, query = rest.partition("?")
     if not address:
         raise SpecError(f"{text}: the port is missing; for example {name}:/dev/ttyUSB0, {name}:{AUTO}")

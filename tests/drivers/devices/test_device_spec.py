@@ -60,6 +60,7 @@ def test_the_radius_that_calibration_has_found_is_used_with_the_ticks_of_the_kin
     ("text", "because"),
     [
         ("lidar:/dev/a", "not a device; there are rplidar:PORT"),
+        ("ydlidar:/dev/a", "wheels:PORT; other lidars can be used by wclm ros, if they have a driver for ROS 2"),
         ("rplidar", "not a device"),
         ("rplidar:", "the port is missing"),
         ("rplidar:/dev/a?speed=3", "no option 'speed'; it has baud"),
