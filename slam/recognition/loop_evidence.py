@@ -49,6 +49,10 @@ def check_evidence(
     old = among & (travelled < travelled[first] - SUBMAP_LENGTH) & (_distances(poses, look.pose) < reach)
     places = [match.old for match in decision.matches]
     old &= local_field.path_distances(mapper.travelled).are_nearer(places, [first])
+    if not old.any():
+        return replace(
+            decision, status=LoopStatus.REJECTED, reason="all keyframes near the old place belong to the drive"
+        )
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
     uncertainty = Uncertainty(look.uncertainty.covariance(place))
     location = locate(drive, known, _expected(look, decision), uncertainty)

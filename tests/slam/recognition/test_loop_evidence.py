@@ -9,12 +9,14 @@ import pytest
 from numpy.typing import NDArray
 
 from slam.evaluation.benchmarks.lookalike import MAX_ERROR, run_world
+from slam.loop_closure.decision import LoopDecision, LoopMatch
 from slam.loop_closure.loop_status import LoopStatus
 from slam.mapping.keyframe_covariances import KeyframeCovariances
 from slam.recognition import loop_evidence
 from slam.recognition.location import DOUBTED, RECOGNISED, Expectation, Location
 
 from ..simulated_worlds import limit_drives
+from .test_drive_scans import mapped
 
 COVARIANCE_FACTOR = 0.02  # standard deviations seven times too small
 
@@ -100,6 +102,20 @@ def test_an_office_that_is_not_mapped_is_not_taken_for_an_equal_one() -> None:
     run = run_world("equal_offices", 9012, "half-circle")
     assert run.needed
     assert not run.wrong
+
+
+def test_a_loop_is_rejected_if_no_earlier_pass_is_left_to_compare_the_drive_with() -> None:
+    state, _ = mapped("office", 1, 0.0, 12.0)
+    mapper, nothing = state.mapper, np.zeros(3)
+    last, old = mapper.keyframe_count - 1, np.zeros(mapper.keyframe_count, dtype=bool)
+    match = LoopMatch(last, 0, nothing, 1e-4 * np.eye(3), mapper.travelled[last], 1.0, 1.0)
+    points = np.zeros((0, 2))
+    decision = LoopDecision(
+        1, last, 0, nothing, nothing, LoopStatus.CONFIRMED, "", (match,), 0.0, 0.0, (), last, (points, points)
+    )
+    checked = loop_evidence.check_evidence(mapper, state.local_field, decision, old)
+    assert checked.status is LoopStatus.REJECTED
+    assert "belong to the drive" in checked.reason
 
 
 def _scaled(function: Any) -> Any:
