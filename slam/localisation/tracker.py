@@ -260,16 +260,17 @@ class Tracker:
             return TrackingStatus.NO_FEATURES, False
         scans = self._untracked_in_a_row + 1
         after_gap = self._is_after_gap(scans)
-        # After a gap an even motion predicts nothing: the place may be any that looks alike.
-        may_be_anywhere = after_gap and self.measured and seems_slipped
+        # After a gap an even motion predicts nothing, and where odometry has not led, any place may look alike.
+        may_be_anywhere = after_gap and self.measured and (seems_slipped or confirms_slip)
         if not match.plausible or evidence.needs_impossible_motion or may_be_anywhere:
             return TrackingStatus.FAILED, False
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = scans >= MAX_UNTRACKED_SCANS and not self._views.changed and not after_gap
-        doubtful = confirms_slip and (match.poor or evidence.is_ambiguous) and not agree_for_long
-        # Nothing has measured the motion in a gap: odometry is missing or failing, or the robot may have been carried.
-        poor_after_gap = match.poor and after_gap and not self._predictor.measured_in_gap
-        if seems_slipped or doubtful or poor_after_gap:
+        ambiguous = confirms_slip and evidence.is_ambiguous and not agree_for_long
+        # A poor fit shows no slip. Nor does it place a robot after a gap in which nothing has measured the motion:
+        # odometry is missing or failing, or the robot may have been carried.
+        poor = match.poor and (confirms_slip or (after_gap and not self._predictor.measured_in_gap))
+        if seems_slipped or ambiguous or poor:
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirms_slip or evidence.contradicts_odometry
 
