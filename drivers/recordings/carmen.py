@@ -174,7 +174,8 @@ class CarmenReader(RecordingReader):
         return LaserProperties(_estimate_mount(poses), limit, per_metre, has_odometry=bool(poses[:, 3:].any()))
 
     def _stamps(self, lines: list[bytes]) -> _Stamps:
-        if not clock_stands(lines):
+        self.times_known = not clock_stands(lines)
+        if self.times_known:
             return _Stamps(self._restored_stamps(lines))
         self.doubt(
             "most scans have the same stamp, so the times are not known: lines are read in their order, as if the "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Iterator
@@ -163,6 +164,10 @@ class RosReader(RecordingReader):
                 self.interpret(f"{frame} is {text}")
             if contents.all.moves(frame, contents.base):
                 self.doubt(f"{frame} moves on the robot by its transforms, and is taken to be where it is at first")
+            if (difference := contents.all.disagreement(frame)) is not None:
+                shift, turn = difference
+                apart = f"{shift:.3f} m and {math.degrees(turn):.1f} degrees"
+                self.interpret(f"two transforms of {frame} differ by {apart}; the first one is used")
 
     def _yaw_rate(self, stored: StoredMessage, contents: Contents) -> YawRate:
         message = decode(stored.data, IMU, stored.encoding)

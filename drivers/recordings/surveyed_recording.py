@@ -49,6 +49,7 @@ class SurveyedRecording(ABC):
     path                recording
     report              of the present iteration
     set_beam_times      times of the beams that a user has set; None: they are decided from the scans
+    times_known         false if the messages turn out to have no times of their own
     states_beam_times   if the format has a place for them; if not, the stamp of a scan is taken to be the middle of its
                         sweep
     """
@@ -59,6 +60,7 @@ class SurveyedRecording(ABC):
         self.path = Path(path)
         self.report = SourceReport()
         self.set_beam_times: BeamTimes | None = None
+        self.times_known = True
         self._survey: _Survey | None = None
         self._lost_scans = ""  # why most scans cannot be used
 
@@ -155,7 +157,8 @@ class SurveyedRecording(ABC):
         """Delay of the lidar's stamps against odometry's; None if the recording does not determine it."""
         from ..timing.delay import estimate_delay
 
-        return estimate_delay(self._turns, self.beam_times)
+        turns = self._turns
+        return estimate_delay(turns, self.beam_times) if self.times_known else None
 
     @cached_property
     def mount_heading(self) -> MountHeading | None:

@@ -54,6 +54,7 @@ class TransformTree:
     def __init__(self) -> None:
         self._parents: dict[str, _Link] = {}
         self._frames: set[str] = set()  # all that are named
+        self._second: dict[str, Floats] = {}  # of each frame, a pose (4, 4) in its parent that is not the first one
         self._moving: set[str] = set()  # frames that have moved in their parents
 
     def add(self, message: Any) -> None:
@@ -65,8 +66,10 @@ class TransformTree:
             if is_odometry_frame(parent):
                 continue
             first = self._parents.setdefault(child, link)
-            if first.parent == parent and np.abs(link.matrix - first.matrix).max() > MOVED:
-                self._moving.add(child)
+            if first.parent == parent and _differ(link.matrix, first.matrix):
+                second = self._second.setdefault(child, link.matrix)
+                if _differ(link.matrix, second):
+                    self._moving.add(child)
 
     def find_mount(self, frame: str, odometry_child: str | None) -> LidarMount:
         """Return the mount of a lidar's frame; unknown if no chain of transforms connects it to the base.
@@ -112,6 +115,18 @@ class TransformTree:
                 return True
             frame = self._parents[frame].parent
         return False
+
+    def disagreement(self, frame: str) -> tuple[float, float] | None:
+        """Return by how much, in metres and radians, two transforms of a frame differ; None if they agree.
+
+        None also of a frame that moves, of which all transforms may be right.
+        """
+        frame = normalize_frame(frame)
+        if frame not in self._second or frame in self._moving:
+            return None
+        between = np.linalg.inv(self._parents[frame].matrix) @ self._second[frame]
+        cosine = 0.5 * (float(np.trace(between[:3, :3])) - 1.0)
+        return float(np.linalg.norm(between[:3, 3])), math.acos(min(1.0, max(-1.0, cosine)))
 
     def up_axis(self, base: str | None, frame: str) -> Floats:
         """Return the direction (3,) of the base's z axis in another frame; its own z axis if that is not connected."""
@@ -166,6 +181,11 @@ def _projection(rotation: Floats, heading: float) -> Floats:
     """Return the projection (2, 2) of a lidar with a rotation (3, 3) on the base, see `LidarMount`."""
     c, s = math.cos(heading), math.sin(heading)
     return np.asarray(np.array([[c, s], [-s, c]]) @ rotation[:2, :2])
+
+
+def _differ(one: Floats, other: Floats) -> bool:
+    """Return True if two poses (4, 4) are so different that a frame has moved from one to the other."""
+    return bool(np.abs(one - other).max() > MOVED)
 
 
 def _matrix(transform: Any) -> Floats:

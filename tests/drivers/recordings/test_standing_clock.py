@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import drivers
 from drivers import Message, Odometry, Scan
+from drivers.recordings.reader import RecordingReader
 from drivers.recordings.standing_clock import INTERVAL, LONGEST, SPEED, PathClock, clock_stands
+from drivers.timing.delay import Delay
 
 STEP = 0.3  # metres from scan to scan
 READINGS = 4  # ODOM lines from scan to scan
@@ -46,6 +49,19 @@ def test_lines_are_timed_by_the_path(tmp_path: Path) -> None:
         x = [message.pose[0] for message in odometry]
         np.testing.assert_allclose(np.diff([message.stamp for message in odometry]), np.diff(x) / SPEED, atol=1e-6)
         assert any("same stamp" in text for text in doubts)
+
+
+@pytest.mark.parametrize("stands", [True, False])
+def test_made_up_times_show_no_delay_of_the_lidar(
+    stands: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = Delay(0.2, 0.01, None)
+    monkeypatch.setattr("drivers.timing.delay.estimate_delay", lambda *_: found)
+    path = tmp_path / "standing.log"
+    path.write_text("\n".join(log(["0"] * 20 if stands else [f"{0.5 * k:.3f}" for k in range(20)])) + "\n")
+    source = drivers.open(path)
+    assert isinstance(source, RecordingReader)
+    assert source.delay == (None if stands else found)
 
 
 def test_stamps_that_are_invalid_do_not_matter(tmp_path: Path) -> None:

@@ -85,6 +85,25 @@ def test_a_lidar_is_not_mounted_on_what_odometry_moves() -> None:
     assert tree.mount_on("goal", "laser").pose is None
 
 
+def tree_of(*headings: float) -> TransformTree:
+    """Return the transforms of a robot whose lidar has these headings (radians) one after the other."""
+    tree = TransformTree()
+    for heading in headings:
+        mount = np.array([0.1, 0.1 * abs(heading), heading])
+        tree.add(decode(ENCODER.transform(0.01, "base_link", "laser", mount), TRANSFORMS, "cdr"))
+    return tree
+
+
+def test_a_lidar_moves_if_it_has_more_than_two_poses_on_the_robot() -> None:
+    """Two programs may state two different poses again and again."""
+    assert not tree_of(0.0, 0.0).moves("laser", "base_link")
+    assert tree_of(0.0, 0.0).disagreement("laser") is None
+    assert not tree_of(0.0, 0.2, 0.0, 0.2).moves("laser", "base_link")
+    assert tree_of(0.0, 0.2, 0.0, 0.2).disagreement("laser") == pytest.approx((0.02, 0.2))
+    assert tree_of(0.0, 0.2, 0.4).moves("laser", "base_link")
+    assert tree_of(0.0, 0.2, 0.4).disagreement("laser") is None
+
+
 @pytest.mark.parametrize(("degrees", "projected"), [(0.5, False), (20.0, True), (90.0, False)])
 def test_only_a_lidar_that_measures_along_the_floor_is_projected(degrees: float, projected: bool) -> None:
     """One that is upright does not, but must not be taken for a level one."""
