@@ -65,4 +65,4 @@ def _pairs(stamps: Floats, poses: Floats) -> Iterator[tuple[Odometry, Odometry]]
 def _end(path: Floats) -> se2.Pose:
     """Return the last pose of a path."""
     x, y, heading = path[-1].tolist()
-    return np.array([x, y, se2.wrap(heading)])
+    return np.array((x, y, float(se2.wrap(heading))))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bisect
 import math
+from array import array
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -45,7 +46,7 @@ class OdometryHistory:
     def __init__(self) -> None:
         self._stamps, self._poses = GrowingArray(()), GrowingArray((3,))
         self._stamp_error, self._estimated_at = 0.0, 0  # and the number of readings when it was estimated
-        self._nodes, self._passed = GrowingArray((4,)), 0  # see `path`, and the readings before them
+        self._node_stamps, self._nodes, self._passed = array("d"), GrowingArray((3,)), 0  # see `path`
 
     @classmethod
     def from_arrays(cls, stamps: Floats, poses: Floats) -> OdometryHistory:
@@ -99,7 +100,7 @@ class OdometryHistory:
             poses.insert(0, poses[0])
         self._stamps.replace([*stamps, *self._stamps.rows])
         self._poses.replace([*poses, *self._poses.rows])
-        self._nodes, self._passed = GrowingArray((4,)), 0
+        self._node_stamps, self._nodes, self._passed = array("d"), GrowingArray((3,)), 0
 
     @property
     def earliest(self) -> float:
@@ -145,25 +146,26 @@ class OdometryHistory:
 
         In between are readings that are MIN_MOTION_TRAVEL apart at least, so that jitter is not taken for travel.
         """
-        nodes = self._nodes_so_far()
-        stamps = nodes[:, 0]
+        self._add_nodes()
+        stamps = self._node_stamps
         first, last = bisect.bisect_right(stamps, begin.stamp), bisect.bisect_left(stamps, end.stamp)
         poses = np.empty((max(last - first, 0) + 2, 3))
-        poses[0], poses[1:-1], poses[-1] = begin.pose, nodes[first:last, 1:], end.pose
+        poses[0], poses[1:-1], poses[-1] = begin.pose, self._nodes.rows[first:last], end.pose
         return poses
 
-    def _nodes_so_far(self) -> Floats:
-        """Return (m, 4) stamps and poses of the nodes of the path; the last reading, which may change, is none yet."""
-        count = len(self) - 1
-        if self._passed < count:
-            from ..geometry.pose_arrays import spaced_rows  # compiled code, which reports do without
+    def _add_nodes(self) -> None:
+        """Add the nodes of the path among the latest readings; the last reading, which may change, is none yet."""
+        count = len(self._stamps) - 1
+        if self._passed >= count:
+            return
+        from ..geometry.pose_arrays import spaced_rows  # compiled code, which reports do without
 
-            last = self._nodes.rows[-1, 1:] if len(self._nodes) else self._poses.rows[0]
-            poses = self._poses.rows[self._passed : count]
-            for row in spaced_rows(last, poses, MIN_MOTION_TRAVEL, TRAVEL_PER_RADIAN).tolist():
-                self._nodes.append([self._stamps.rows[self._passed + row], *poses[row]])
-            self._passed = count
-        return self._nodes.rows
+        last = self._nodes.rows[-1] if self._node_stamps else self._poses.rows[0]
+        poses = self._poses.rows[self._passed : count]
+        for row in spaced_rows(last, poses, MIN_MOTION_TRAVEL, TRAVEL_PER_RADIAN).tolist():
+            self._node_stamps.append(float(self._stamps.rows[self._passed + row]))
+            self._nodes.append(poses[row])
+        self._passed = count
 
     def blocks(self) -> Iterator[tuple[Floats, Floats]]:
         """Yield stamps (n,) and poses (n, 3) of all readings, up to BLOCK at a time."""
