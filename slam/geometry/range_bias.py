@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -23,7 +22,8 @@ def without_range_bias(segments: Segments, corners: CornerPoints, bias: float) -
     frame, position, headings = _without_bias(
         segments.frame, segments.bias_slope, corners.position, corners.segments, bias
     )
-    return replace(segments, frame=frame), replace(corners, position=position, headings=headings)
+    moved = Segments(frame, segments.half_length, segments.covariance, segments.bias_slope)
+    return moved, CornerPoints(position, corners.covariance, corners.segments, headings)
 
 
 @compiled

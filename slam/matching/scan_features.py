@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import field, replace
+from dataclasses import field
 
 import numpy as np
 
@@ -39,4 +39,4 @@ class ScanFeatures:
         if not bias:
             return self
         segments, corners = without_range_bias(self.segments, self.corners, bias)
-        return replace(self, segments=segments, corners=corners)
+        return ScanFeatures(segments, corners, self.points, self.sweep_covariance)

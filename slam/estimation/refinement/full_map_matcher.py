@@ -20,7 +20,6 @@ from drivers.compiled import compiled
 from drivers.immutable import immutable
 
 from ...geometry.angles import wrap_angle
-from ...geometry.pose_covariance import POSE_SIGMAS
 from ...geometry.roughness import Roughness
 from ...geometry.segments import Floats, Integers
 from ...geometry.small_matrices import inverse, quadratic_form
@@ -39,8 +38,8 @@ from ...matching.point_matcher import PointMatch, Prediction
 from ...matching.scan_features import ScanFeatures
 from ...odometry.error_model import OdometryModel
 from ...odometry.measurement_clock import MeasurementClock
-from ...odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
 from ...preprocessing.scan_sequence import ScanSequence
+from .even_motions import TRACKED_SIGMAS, even_informations, fractions_of
 from .scan_history import WRONG_ODOMETRY_SIGMAS, ScanHistory
 
 # Metres; side of the square tiles: scans of one tile use the same distance field.
@@ -58,9 +57,6 @@ MAX_FIELD_KEYFRAMES = 40
 # Origin: measured on three recordings, a field has some 1.5 MB. If twice as many are kept, two thirds to three quarters
 # as many are built. This saves 0.3 to 0.8 % of the time of a run, and takes up to 21 MB more at its peak.
 MAX_FIELDS = 16
-# Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan that was tracked.
-# Origin: definition.
-TRACKED_SIGMAS = POSE_SIGMAS
 
 _Square: TypeAlias = tuple[int, int, int]
 """Column and row of a tile, and group of parts of the map."""
@@ -125,6 +121,8 @@ class FullMapMatcher:
         self._last_keyframe = (np.searchsorted(history.keyframes, np.arange(len(history)), side="right") - 1).tolist()
         clock = MeasurementClock()
         self._intervals = [clock.interval(stamp) for stamp in history.stamps.tolist()]  # to each scan
+        self._fractions = fractions_of(self._intervals)
+        self._even_informations = even_informations(self._intervals, self._fractions, self._informations)
 
     def local_map(self, row: int, pose: se2.Pose) -> LocalMap:
         """Return the landmarks that a scan may observe from `pose`: those that existed at that time."""
@@ -147,7 +145,7 @@ class FullMapMatcher:
         target = MatchTarget(local_map, self._field(row), self._roughness)
         present = Prediction(poses[row], self._prior(row, poses))
         cost = 0.0 if self._odometry_wrong[row] else self._slip_cost
-        even = Prediction(self._interpolate(row, poses), self._even_information(row), cost)
+        even = Prediction(self._interpolate(row, poses), self._even_informations[row], cost)
         predictions = [present, even] if present.excludes(even.pose) else [present]
         points = self._small_objects.weighted_points(scan)
         earlier_evidence = None if self._odometry_wrong[row] else 0.0
@@ -179,26 +177,7 @@ class FullMapMatcher:
         if not 0 < row < len(poses) - 1:
             return np.asarray(poses[row], dtype=np.float64)
         motion = se2.between(poses[row - 1], poses[row + 1])
-        return se2.compose(poses[row - 1], self._fraction(row) * motion)
-
-    def _fraction(self, row: int) -> float:
-        """Return at which fraction of the time from the previous scan to the next one a scan was taken."""
-        before, after = float(self._intervals[row]), float(self._intervals[row + 1])
-        return before / (before + after) if before + after > 0.0 else 0.5
-
-    def _even_information(self, row: int) -> Floats:
-        """Return the information (3, 3) of a scan's pose, if the base moved evenly between its neighbours.
-
-        Besides the errors of their poses, it is uncertain by the change of velocity from one interval to the other.
-        """
-        covariance = np.diag(TRACKED_SIGMAS**2)
-        if 0 < row < len(self._intervals) - 1:
-            fraction, after = self._fraction(row), self._intervals[row + 1]
-            change = np.minimum(0.5 * (self._intervals[row] + after) * ACCELERATIONS, MAX_VELOCITIES)
-            covariance += np.diag((fraction * after * change) ** 2)
-            covariance += (1.0 - fraction) ** 2 * inverse(self._informations[row - 1])
-            covariance += fraction**2 * inverse(self._informations[row + 1])
-        return np.asarray(inverse(covariance))
+        return se2.compose(poses[row - 1], self._fractions[row] * motion)
 
     def _tiles_of(self, keyframes: Integers) -> list[_Tile]:
         """Return the tile of the distance field for scans at some keyframes (n,): without the keyframe itself.

@@ -20,7 +20,8 @@ from ...mapping.landmark_ids import assign_landmark_ids
 from ...mapping.mapper import Mapper
 from ...mapping.wall_merging import merge_duplicate_walls
 from ...odometry.error_model import OdometryModel
-from .full_map_matcher import TRACKED_SIGMAS, FullMapMatcher
+from .even_motions import TRACKED_SIGMAS
+from .full_map_matcher import FullMapMatcher
 from .landmark_recount import recompute_covariances, recount_observations
 from .scan_history import ScanHistory
 
