@@ -133,7 +133,7 @@ class DistanceField:
         kinds = np.zeros(len(points), dtype=np.uint8)
         while entered < len(points):
             self.offsets.count, entered = _insert(
-                self.arrays, self.waiting.arrays, self.waiting.scans, self.offsets.count,
+                self.arrays, self.waiting.cells, self.waiting.scans, self.offsets.count,
                 poses, points, kinds, first, entered,
             )  # fmt: skip
             if entered < len(points):

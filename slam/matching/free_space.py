@@ -36,6 +36,8 @@ WAITING_CELLS = round(NEW_SURFACE / FIELD_CELL)
 # Scans in a row that have a point at a place if a body rests there. Origin: geometry, a position that is quadratic in
 # time has each value twice at most.
 SIGHTINGS = 3
+# Units of what is stored for a cell, see `WaitingPoints`. Origin: definition, more than SIGHTINGS, and twice as much.
+SEEN_BEFORE, LAST_SCAN = 4, 8
 # Kinds of a scan's points: outside the field; in space that was not seen before; on a known surface, or at rest;
 # in free space where a scan before had a point as well; and where none had. Origin: definition.
 OUTSIDE, IN_UNSEEN_SPACE, KNOWN, APPEARED, NEW = 0, 1, 2, 3, 4
@@ -47,37 +49,29 @@ HELD = 8
 class WaitingPoints:
     """Cells of NEW_SURFACE in which points wait.
 
-    first      (w, w) number of the first scan, counted from 1, with a point in free space in the cell; 0 without one
-    last       (w, w) number of the last one
-    sightings  (w, w) number of scans in a row with one, up to the last one
-    scans      number of scans that have been inserted
+    cells  (w, w) one number for each cell, 0 if no scan had a point in free space there: the number of the last scan
+           that had one, counted from 1, times LAST_SCAN; SEEN_BEFORE if an earlier scan had one, too; and the number of
+           scans in a row with one up to the last, SIGHTINGS at most
+    scans  number of scans that have been inserted
     """
 
-    first: NDArray[np.int32]
-    last: NDArray[np.int32]
-    sightings: NDArray[np.int32]
+    cells: NDArray[np.int32]
     scans: int = 0
 
     @classmethod
     def empty(cls, side: int) -> WaitingPoints:
         """Return cells without points for a field with `side` seen cells on each side."""
         cells = -(-side * SEEN_CELLS // WAITING_CELLS)
-        return cls(*np.zeros((3, cells, cells), dtype=np.int32))
-
-    @property
-    def arrays(self) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
-        """Arrays for compiled functions."""
-        return self.first, self.last, self.sightings
+        return cls(np.zeros((cells, cells), dtype=np.int32))
 
     def clear(self) -> None:
         """Remove all points."""
-        self.first.fill(0)
-        self.last.fill(0)
+        self.cells.fill(0)
         self.scans = 0
 
     def copy(self) -> WaitingPoints:
         """Return an independent copy."""
-        return WaitingPoints(self.first.copy(), self.last.copy(), self.sightings.copy(), self.scans)
+        return WaitingPoints(self.cells.copy(), self.scans)
 
 
 @inlined
@@ -117,16 +111,16 @@ def is_surrounded(seen, x, y):  # type: ignore[no-untyped-def]
 def add_sighting(waiting, scan, x, y):  # type: ignore[no-untyped-def]
     """Store that the scan numbered `scan` has a point in the cell of (x, y).
 
-    Returns if a scan before had one, and if SIGHTINGS scans in a row had. For `waiting` see `WaitingPoints.arrays`.
+    Returns if a scan before had one, and if SIGHTINGS scans in a row had. For `waiting` see `WaitingPoints.cells`.
     """
-    first, last, sightings = waiting
     i, j = math.floor(x) // WAITING_CELLS, math.floor(y) // WAITING_CELLS
-    if first[i, j] == 0:
-        first[i, j] = scan
-    if last[i, j] != scan:
-        sightings[i, j] = sightings[i, j] + 1 if 0 < last[i, j] == scan - 1 else 1
-        last[i, j] = scan
-    return first[i, j] < scan, sightings[i, j] >= SIGHTINGS
+    cell = waiting[i, j]
+    last = cell // LAST_SCAN
+    if last != scan:
+        in_row = min(cell % SEEN_BEFORE + 1, SIGHTINGS) if 0 < last == scan - 1 else 1
+        cell = scan * LAST_SCAN + (SEEN_BEFORE if last > 0 else 0) + in_row
+        waiting[i, j] = cell
+    return cell % LAST_SCAN >= SEEN_BEFORE, cell % SEEN_BEFORE >= SIGHTINGS
 
 
 @inlined

@@ -250,4 +250,4 @@ def test_a_completed_field_has_the_same_values_in_less_memory() -> None:
     assert np.array_equal(offsets_of(completed), offsets)
     assert np.array_equal(completed.seen, seen)
     assert len(completed.offsets.tiles) == completed.offsets.count < room
-    assert all(of_waiting.nbytes == 0 for of_waiting in completed.waiting.arrays)
+    assert completed.waiting.cells.nbytes == 0

@@ -108,8 +108,7 @@ def test_points_of_several_scans_at_once_enter_as_one_after_the_other() -> None:
         one_by_one.insert(ROBOT, scan)
     together.insert_scans(np.zeros((len(scans), 3)), with_normals)
     assert together.waiting.scans == one_by_one.waiting.scans == len(scans)
-    for together_of, one_by_one_of in zip(together.waiting.arrays, one_by_one.waiting.arrays, strict=True):
-        np.testing.assert_array_equal(together_of, one_by_one_of)
+    np.testing.assert_array_equal(together.waiting.cells, one_by_one.waiting.cells)
     np.testing.assert_array_equal(together.seen, one_by_one.seen)
     count = one_by_one.offsets.count
     assert together.offsets.count == count
