@@ -164,8 +164,9 @@ class PosePredictor:
         """Continue from a saved state."""
         self._fix, self._reference = state.fix, state.reference
         self._since_fix, self._clock = state.since_fix, MeasurementClock(state.scan_stamp, state.intervals)
-        self._velocity = VelocityFilter(state.velocity, state.velocity_variances)
-        self._prediction_error = PredictionError(state.prediction_variances, state.prediction_scans)
+        # copied, as saved arrays may be read-only, which would be compiled for separately
+        self._velocity = VelocityFilter(np.array(state.velocity), np.array(state.velocity_variances))
+        self._prediction_error = PredictionError(np.array(state.prediction_variances), state.prediction_scans)
         self._slips, self._comparison = replace(state.slips), OdometryComparison(state.contradicted_for)
         self._followed = None
 
@@ -212,7 +213,7 @@ class PosePredictor:
     def learn(self, usual: Prediction, match: PointMatch) -> None:
         """Learn the error of predictions from the match of a tracked scan, and its usual prediction."""
         difference, of_match = se2.between(usual.pose, match.pose), inverse(match.information + CONDITIONING)
-        self._prediction_error.add(difference, inverse(usual.information).diagonal(), of_match.diagonal())
+        self._prediction_error.add(difference, inverse(usual.information), of_match)
 
     def update(
         self,

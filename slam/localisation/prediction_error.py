@@ -11,7 +11,11 @@ Equations: docs/mathematics.md#predictions.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+
+from drivers.compiled import compiled
 
 from ..geometry.normal_distribution import NORMAL_MEDIAN, NORMAL_MEDIAN_ERROR
 from ..geometry.pose_covariance import POSE_SIGMAS
@@ -43,20 +47,37 @@ class PredictionError:
         """(3, 3) covariance of the error."""
         return np.diag(self.variances)
 
-    def add(self, difference: Floats, predicted_variances: Floats, match_variances: Floats) -> None:
+    def add(self, difference: Floats, predicted: Floats, match: Floats) -> None:
         """Learn from the difference (3,) of the matched from the predicted pose of a scan.
 
-        predicted_variances  (3,) of the prediction, with `variances`
-        match_variances      (3,) of the match; a scan that does not determine its pose is not used
+        predicted  (3, 3) covariance of the prediction, with `variances`
+        match      (3, 3) that of the match; a scan that does not determine its pose is not used
         """
-        if (match_variances > MAX_MATCH_VARIANCES).any():
-            return
-        variances, expected = self.variances, predicted_variances + match_variances
         samples = self.scans + PRIOR_SAMPLES
         # No other step gives a smaller error in the end: it is 1 / (2 f(m) m) with the density f at the median.
         step = NORMAL_MEDIAN_ERROR / samples
         # Less than the standard error of the whole variance cannot be told from the rest of it.
-        least = np.minimum(variances, NORMAL_MEDIAN_ERROR / np.sqrt(samples) * expected)
-        lower, higher = np.maximum(variances * np.exp(-step), least), variances * np.exp(step)
-        self.variances = np.where(difference**2 > NORMAL_MEDIAN * expected, higher, lower)
-        self.scans = min(self.scans + 1, RANDOM_ERROR_SAMPLES)
+        least = NORMAL_MEDIAN_ERROR / math.sqrt(samples)
+        used, variances = _adapted(
+            self.variances, difference, predicted, match, float(np.exp(-step)), float(np.exp(step)), least
+        )
+        if used:
+            self.variances, self.scans = variances, min(self.scans + 1, RANDOM_ERROR_SAMPLES)
+
+
+@compiled
+def _adapted(variances, difference, predicted, match, lower, higher, least):  # type: ignore[no-untyped-def]
+    """Return if a scan determines its pose, and the variances (3,) after it.
+
+    lower, higher  factors by which a variance falls or rises
+    least          of the variance of the whole difference, to which it falls at least
+    """
+    used, adapted = True, np.empty(3)
+    for k in range(3):
+        used = used and not match[k, k] > MAX_MATCH_VARIANCES[k]
+        expected = predicted[k, k] + match[k, k]
+        if difference[k] * difference[k] > NORMAL_MEDIAN * expected:
+            adapted[k] = variances[k] * higher
+        else:
+            adapted[k] = max(variances[k] * lower, min(variances[k], least * expected))
+    return used, adapted

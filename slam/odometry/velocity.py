@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drivers import se2
+from drivers.compiled import compiled
 
 from ..geometry.segments import Floats
 from .arc import with_turn
@@ -48,21 +49,48 @@ class VelocityFilter:
 
     def deviations(self, seconds: float) -> Floats:
         """Return (3,) the standard deviations of a motion within some seconds, metres and radians."""
-        return np.asarray(np.sqrt(self._predicted_variances(seconds)) * seconds)
+        return np.asarray(_deviations(self.variances, seconds))
 
     def correct(self, motion: se2.Pose | None, covariance: Floats, seconds: float) -> None:
         """Correct the velocity by the motion within some seconds; None if it is not known.
 
         `covariance` (3, 3) is that of the pose at its end.
         """
-        self.variances = self._predicted_variances(seconds)
+        self.variances = _predicted_variances(self.variances, seconds)
         if motion is not None:
-            noise = 2.0 * covariance.diagonal() / seconds**2  # of the poses at both ends
-            gain = self.variances / (self.variances + noise)
             arc = with_turn(motion, 0.0)
             arc[2] = motion[2]
-            self.velocity = self.velocity + gain * (arc / seconds - self.velocity)
-            self.variances = (1.0 - gain) * self.variances
+            self.velocity, self.variances = _corrected(
+                self.velocity, self.variances, arc, covariance, seconds, seconds**2
+            )
 
-    def _predicted_variances(self, seconds: float) -> Floats:
-        return np.asarray(np.minimum(self.variances + (ACCELERATIONS * seconds) ** 2, MAX_VARIANCES))
+
+@compiled
+def _predicted_variances(variances, seconds):  # type: ignore[no-untyped-def]
+    """Return the variances (3,) of a velocity some seconds later."""
+    predicted = np.empty(3)
+    for k in range(3):
+        gained = ACCELERATIONS[k] * seconds
+        predicted[k] = min(variances[k] + gained * gained, MAX_VARIANCES[k])
+    return predicted
+
+
+@compiled
+def _deviations(variances, seconds):  # type: ignore[no-untyped-def]
+    """Return (3,) the standard deviations of a motion within some seconds."""
+    return np.sqrt(_predicted_variances(variances, seconds)) * seconds
+
+
+@compiled
+def _corrected(velocity, variances, arc, covariance, seconds, squared):  # type: ignore[no-untyped-def]
+    """Return the velocity (3,) and its variances (3,), corrected by an arc (3,) driven within some seconds.
+
+    covariance  (3, 3) of the poses at both ends of the arc
+    squared     seconds squared
+    """
+    new_velocity, new_variances = np.empty(3), np.empty(3)
+    for k in range(3):
+        gain = variances[k] / (variances[k] + 2.0 * covariance[k, k] / squared)
+        new_velocity[k] = velocity[k] + gain * (arc[k] / seconds - velocity[k])
+        new_variances[k] = (1.0 - gain) * variances[k]
+    return new_velocity, new_variances

@@ -8,7 +8,7 @@ import pytest
 from slam.geometry.segments import Floats
 from slam.localisation.prediction_error import PREDICTION_SIGMAS, PredictionError
 
-MATCH = np.full(3, 0.001**2)
+MATCH = np.diag(np.full(3, 0.001**2))
 
 
 def learn(error: PredictionError, sigmas: Floats, count: int, seed: int, *, gross: float = 0.0) -> None:
@@ -16,7 +16,7 @@ def learn(error: PredictionError, sigmas: Floats, count: int, seed: int, *, gros
     random = np.random.default_rng(seed)
     for _ in range(count):
         difference = sigmas * random.standard_normal(3) + (random.random() < gross)
-        error.add(difference, error.variances + 0.002**2, MATCH)
+        error.add(difference, np.diag(error.variances + 0.002**2), MATCH)
 
 
 @pytest.mark.parametrize("scale", [0.2, 1.0, 4.0])
@@ -38,7 +38,7 @@ def test_gross_errors_do_not_matter() -> None:
 
 def test_scans_that_do_not_determine_their_pose_say_nothing() -> None:
     error = PredictionError()
-    error.add(np.array([0.0, 0.5, 0.0]), error.variances, np.array([0.001, 0.5, 0.001]) ** 2)
+    error.add(np.array([0.0, 0.5, 0.0]), error.covariance, np.diag([0.001, 0.5, 0.001]) ** 2)
     np.testing.assert_array_equal(error.variances, PREDICTION_SIGMAS**2)
     assert error.scans == 0
 
@@ -46,6 +46,6 @@ def test_scans_that_do_not_determine_their_pose_say_nothing() -> None:
 def test_variances_stay_above_what_can_be_told_from_the_rest() -> None:
     error = PredictionError()
     for _ in range(1000):
-        error.add(np.zeros(3), error.variances + 0.01**2, MATCH)
+        error.add(np.zeros(3), np.diag(error.variances + 0.01**2), MATCH)
     assert np.all(np.sqrt(error.variances) > 0.003)
     assert np.all(np.sqrt(error.variances) < 0.006)
