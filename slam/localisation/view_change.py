@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
@@ -73,17 +72,12 @@ class View:
     @property
     def compared(self) -> Floats:
         """Points (p, 2) that are compared with another scan."""
-        return self.points[self._are_compared]
-
-    @property
-    def _are_compared(self) -> NDArray[np.bool_]:
-        distances = np.hypot(self.points[:, 0], self.points[:, 1])
-        return np.asarray((distances > NOT_COMPARED_RADIUS) & (distances < COMPARED_RADIUS))
+        return np.asarray(self.points[_are_compared(self.points)])
 
     @property
     def comparable(self) -> bool:
         """True if the scan has enough points for a comparison."""
-        return bool(np.count_nonzero(self._are_compared) >= MIN_POINTS)
+        return bool(np.count_nonzero(_are_compared(self.points)) >= MIN_POINTS)
 
     def differs_from(self, other: View, motion: se2.Pose) -> bool:
         """Return True if another view, after a `motion` [x, y, heading] from this one, shows another place.
@@ -145,6 +139,16 @@ class ViewComparison:
             return self._last is None
         motions = [dead_reckoning.motion(other.odometry, view.odometry) for other in self._views[:count]]
         return any(other.differs_from(view, motion) for other, motion in zip(self._views, motions, strict=False))
+
+
+@compiled
+def _are_compared(points):  # type: ignore[no-untyped-def]
+    """Return (p,) which of points (p, 2) in the base's frame are compared with other scans."""
+    compared = np.empty(len(points), np.bool_)
+    for k in range(len(points)):
+        squared = points[k, 0] * points[k, 0] + points[k, 1] * points[k, 1]
+        compared[k] = NOT_COMPARED_RADIUS * NOT_COMPARED_RADIUS < squared < COMPARED_RADIUS * COMPARED_RADIUS
+    return compared
 
 
 @compiled
