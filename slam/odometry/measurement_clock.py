@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left, insort
 from collections import deque
 from collections.abc import Sequence
@@ -30,21 +31,20 @@ class MeasurementClock:
     is no period of a lidar either. The same holds for readings of odometry. A pause that is longer than the latest
     intervals together is none between bursts: measurements are missing.
 
-    last  stamp of the last measurement; None before the first, and after `start_again`
+    last    stamp of the last measurement; None before the first, and after `start_again`
+    period  of the sensor in seconds; NaN before the second measurement
     """
 
     def __init__(self, last: float | None = None, intervals: Sequence[float] = ()) -> None:
         self.last, self._latest, self._ordered = last, deque(intervals), sorted(intervals)
+        self.period, self._total, self._in_bursts = math.nan, 0.0, False
+        if self._ordered:
+            self._find_period()
 
     @property
     def intervals(self) -> tuple[float, ...]:
         """Latest differences of stamps."""
         return tuple(self._latest)
-
-    @property
-    def period(self) -> float:
-        """Period of the sensor in seconds; there must have been two measurements."""
-        return sum(self._ordered) / len(self._ordered) if self._in_bursts else self._median
 
     def start_again(self) -> None:
         """Measure no interval to the next measurement: it may be one of those so far, or follow a break."""
@@ -59,20 +59,10 @@ class MeasurementClock:
         if last is None:
             return 0.0
         is_full = len(self._latest) == PERIOD_SAMPLES
-        if is_full and self._in_bursts and stamp - last > sum(self._ordered):
+        if is_full and self._in_bursts and stamp - last > self._total:
             return stamp - last
         self._add(stamp - last)
         return self.period if self._in_bursts else max(stamp - last, self.period)
-
-    @property
-    def _median(self) -> float:
-        ordered = self._ordered
-        return 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
-
-    @property
-    def _in_bursts(self) -> bool:
-        median = self._median
-        return median < MIN_PERIOD or self._ordered[0] < MIN_INTERVAL * median
 
     def _add(self, interval: float) -> None:
         """Add an interval to the latest ones, which are kept in order too: to sort them each time takes longer."""
@@ -80,3 +70,13 @@ class MeasurementClock:
         insort(self._ordered, interval)
         if len(self._latest) > PERIOD_SAMPLES:
             del self._ordered[bisect_left(self._ordered, self._latest.popleft())]
+        self._find_period()
+
+    def _find_period(self) -> None:
+        """Find the period from the latest intervals, and their sum if the measurements come in bursts."""
+        ordered = self._ordered
+        self.period = 0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+        self._in_bursts = self.period < MIN_PERIOD or ordered[0] < MIN_INTERVAL * self.period
+        if self._in_bursts:
+            self._total = sum(ordered)
+            self.period = self._total / len(ordered)
