@@ -64,7 +64,10 @@ class FollowedMotion:
 
     def after(self, seconds: float) -> FollowedMotion:
         """Return the hypothesis some seconds later."""
-        return replace(self, seconds=self.seconds + seconds, duration=self.duration + seconds)
+        return FollowedMotion(
+            self.start, self.pose, self.velocity,
+            self.seconds + seconds, self.duration + seconds, self.apart, self.evidence,
+        )  # fmt: skip
 
     def moved(self, before: se2.Pose, after: se2.Pose) -> FollowedMotion:
         """Return the hypothesis in a map that was corrected, by which a pose `before` has become `after`."""
