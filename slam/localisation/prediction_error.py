@@ -34,18 +34,15 @@ MAX_MATCH_VARIANCES = MAX_MATCH_SHARE * PREDICTION_SIGMAS**2  # Origin: definiti
 class PredictionError:
     """Variances of the error of predictions in x, y and heading, in the base's frame.
 
-    variances  (3,) square metres, square metres, square radians
-    scans      number of scans that they rest on, at most RANDOM_ERROR_SAMPLES
+    variances   (3,) square metres, square metres, square radians
+    covariance  (3, 3) the same as a matrix, not to be changed
+    scans       number of scans that they rest on, at most RANDOM_ERROR_SAMPLES
     """
 
     def __init__(self, variances: Floats | None = None, scans: int = 0) -> None:
         self.variances = PREDICTION_SIGMAS**2 if variances is None else variances
         self.scans = scans
-
-    @property
-    def covariance(self) -> Floats:
-        """(3, 3) covariance of the error."""
-        return np.diag(self.variances)
+        self.covariance = np.diag(self.variances)
 
     def add(self, difference: Floats, predicted: Floats, match: Floats) -> None:
         """Learn from the difference (3,) of the matched from the predicted pose of a scan.
@@ -63,6 +60,7 @@ class PredictionError:
         )
         if used:
             self.variances, self.scans = variances, min(self.scans + 1, RANDOM_ERROR_SAMPLES)
+            self.covariance = np.diag(variances)
 
 
 @compiled
