@@ -15,6 +15,7 @@ from slam import Config, Finished, Slam
 from slam.config import OdometryConfig
 from slam.estimation.estimator import Estimator
 from slam.estimation.refinement import ScanHistory, build_scan_history, full_map_matcher, refine
+from slam.estimation.refinement.even_motions import TRACKED_SIGMAS, even_informations, fractions_of
 from slam.estimation.refinement.full_map_matcher import FullMapMatcher
 from slam.estimation.refinement.iteration import motion_to_keyframe
 from slam.estimation.refinement.landmark_recount import recount_observations
@@ -410,6 +411,22 @@ def test_session_without_a_map_is_not_refined() -> None:
     finished = run(messages, refine=True)
     assert "refinement" not in finished.summary
     assert len(finished.poses)
+
+
+def test_an_even_motion_is_as_certain_as_the_poses_around_it_and_the_acceleration_leave_it() -> None:
+    informations = np.array([np.diag([4e4, 1e4, 1e6]) * (k + 1) for k in range(4)])
+    intervals = [0.0, 0.1, 0.3, 30.0]  # a robot may have any velocity after the last one
+    fractions = fractions_of(intervals)
+    assert fractions[1] == pytest.approx(0.25)
+    covariances = np.linalg.inv(even_informations(intervals, fractions, informations))
+    changes = np.array([0.2, 0.2, 0.6]), np.array([1.0, 1.0, 2.0])  # metres and radians per second
+    for row, change in zip((1, 2), changes, strict=True):
+        share = fractions[row]
+        of_poses = np.linalg.inv(informations)
+        expected = (1.0 - share) ** 2 * of_poses[row - 1] + share**2 * of_poses[row + 1]
+        expected += np.diag(TRACKED_SIGMAS**2 + (share * intervals[row + 1] * change) ** 2)
+        np.testing.assert_allclose(covariances[row], expected, rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(covariances[[0, -1]], [np.diag(TRACKED_SIGMAS**2)] * 2, atol=1e-15)
 
 
 @pytest.mark.slow
