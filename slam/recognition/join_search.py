@@ -118,8 +118,9 @@ class JoinSearch:
         for group in np.unique(groups[apart]).tolist():
             if group not in self._maps:
                 self._maps[group] = scan_keyframes(mapper, local_field, groups == group)
-            similarity = SelfSimilarity(mapper, local_field, groups == group, self._maps[group])
-            found[group] = locate(drive, self._maps[group], self.expected, similarity=similarity.of)
+            similarity = SelfSimilarity(mapper, local_field, groups == group, self._maps[group]).of
+            alike = None if self.expected.stated else similarity
+            found[group] = locate(drive, self._maps[group], self.expected, similarity=alike)
         group = max(found, key=lambda number: found[number].support)
         location, others = found[group], [found[number].support for number in found if number != group]
         if not location.accepted or any(location.support - support < location.required for support in others):

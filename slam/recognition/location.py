@@ -41,11 +41,13 @@ class Expectation:
     error         largest probability of a wrong decision, if cells are independent; neighbouring ones are not quite
     fully_mapped  true if the map is expected to contain all that the drive shows. If less is mapped, much of the
                   building is not mapped either, and a place there may look like one in the map.
+    stated        true if a person has said that the drive is in the map, and so at no place that only looks alike
     """
 
     prior: float
     error: float
     fully_mapped: bool = True
+    stated: bool = False
 
     @property
     def required(self) -> float:
@@ -54,7 +56,7 @@ class Expectation:
 
 
 # Of a robot that is said to be in a map. Origin: prior chosen, statements are right 19 times of 20; else as LOST.
-STATED = Expectation(prior=0.95, error=0.001)
+STATED = Expectation(prior=0.95, error=0.001, stated=True)
 # Of a robot that has lost its pose, and may have been carried out of the map. Origin: prior by definition, nothing is
 # known; error chosen, with 0.01 drives were put at the wrong one of two equal places.
 LOST = Expectation(prior=0.5, error=0.001)

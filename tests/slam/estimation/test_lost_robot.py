@@ -14,6 +14,7 @@ from drivers.simulation import LidarModel, Simulation
 from slam import Finished, Slam
 from slam.geometry.degeneracy import weakest_direction
 from slam.io.tum import Trajectory
+from slam.recognition.self_similarity import SelfSimilarity
 
 ROBOT = LidarModel(beams=180)
 
@@ -125,6 +126,14 @@ def test_a_robot_carried_back_to_its_start_is_relocalised() -> None:
     assert outcome.errors.max() < 0.05
     assert outcome.states in ([], ["LOST", "OK"])
     assert outcome.result.stamps[-1] > 30.0
+
+
+def test_a_carried_robot_is_not_placed_if_places_of_the_map_look_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(SelfSimilarity, "of", lambda *_: 1e3)
+    outcome = run(carried_back(15.0))
+    parts = outcome.result.summary["parts"]
+    assert isinstance(parts, list)
+    assert [part["joined"] for part in parts] == [True, False]
 
 
 def test_a_robot_that_is_carried_after_a_few_scans_is_lost_only_until_it_has_mapped_more() -> None:
