@@ -45,6 +45,7 @@ class JoinSearch:
         self.agreements: dict[int, LoopAgreement] = {}
         self._drive = DriveScans()
         self._maps: dict[int, ScannedMap] = {}  # of other parts, by the number of their group
+        self._similarities: dict[int, dict[int, float]] = {}  # of these maps, see `SelfSimilarity`
         self._retracted: list[se2.Pose] = []
 
     def __deepcopy__(self, memo: dict[int, object]) -> JoinSearch:
@@ -52,13 +53,13 @@ class JoinSearch:
         other = JoinSearch(self.expected)
         other.agreements = copy.deepcopy(self.agreements)
         other._drive = copy.deepcopy(self._drive)
-        other._maps = dict(self._maps)
+        other._maps, other._similarities = dict(self._maps), dict(self._similarities)
         other._retracted = list(self._retracted)
         return other
 
     def clear(self) -> None:
         """Discard all that was found: the map has been corrected."""
-        self._maps = {}
+        self._maps, self._similarities = {}, {}
         self._drive.clear()
         for agreement in self.agreements.values():
             agreement.clear()
@@ -118,9 +119,10 @@ class JoinSearch:
         for group in np.unique(groups[apart]).tolist():
             if group not in self._maps:
                 self._maps[group] = scan_keyframes(mapper, local_field, groups == group)
-            similarity = SelfSimilarity(mapper, local_field, groups == group, self._maps[group]).of
-            alike = None if self.expected.stated else similarity
-            found[group] = locate(drive, self._maps[group], self.expected, similarity=alike)
+            known, similar = self._maps[group], self._similarities.setdefault(group, {})
+            similarity = SelfSimilarity(mapper, local_field, groups == group, known, similar)
+            alike = None if self.expected.stated else similarity.of
+            found[group] = locate(drive, known, self.expected, similarity=alike)
         group = max(found, key=lambda number: found[number].support)
         location, others = found[group], [found[number].support for number in found if number != group]
         if not location.accepted or any(location.support - support < location.required for support in others):

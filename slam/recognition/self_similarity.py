@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.segments import Floats
 from ..localisation.local_field import REFERENCE_DISTANCE, LocalField
+from ..loop_closure.submap_search import SUBMAP_LENGTH
 from ..mapping.mapper import Mapper
 from .drive_scans import scan_stretch
 from .evidence import chances_of_fit, compare_cells, evidence_of
@@ -29,35 +31,47 @@ from .scanned_map import ScannedDrive, ScannedMap
 SAMPLED_SUBMAPS = 16
 
 
+# Metres of driving in whose multiples a stretch is as long as a drive, so that it is searched for once for several
+# lengths of a drive. Origin: definition, half a submap.
+LENGTH_STEP = 0.5 * SUBMAP_LENGTH
+
+
 @dataclass(frozen=True, slots=True)
 class SelfSimilarity:
     """Similarity of the places of the map of the keyframes `chosen` (k,) of a mapper.
 
     known  this map, prepared to be searched
+    found  results by length, in multiples of LENGTH_STEP; they hold as long as the map does not change
     """
 
     mapper: Mapper
     local_field: LocalField
     chosen: NDArray[np.bool_]
     known: ScannedMap
+    found: dict[int, float] = field(default_factory=dict)
 
     def of(self, drive: ScannedDrive) -> float:
         """Return the logarithm of the mean likelihood ratio of stretches as long as a drive, at wrong places.
 
         It is minus infinity if none of them fits elsewhere, or if the map has no stretch as long as the drive.
         """
-        evidence = [_evidence_elsewhere(stretch, self.known) for stretch in self._stretches(drive)]
-        return float(np.logaddexp.reduce(evidence)) - math.log(len(evidence)) if evidence else -math.inf
-
-    def _stretches(self, drive: ScannedDrive) -> Iterator[ScannedDrive]:
-        """Yield stretches of the map that are as long as a drive, evenly distributed."""
         driven = self.local_field.path_distances(self.mapper.travelled).driven
         length = sum(float(np.ptp(driven[submap.scan.keyframes])) for submap in drive.submaps)
+        steps = max(1, math.ceil(length / LENGTH_STEP))
+        if steps not in self.found:
+            stretches = self._stretches(driven, steps * LENGTH_STEP)
+            evidence = [_evidence_elsewhere(stretch, self.known) for stretch in stretches]
+            mean = float(np.logaddexp.reduce(evidence)) - math.log(len(evidence)) if evidence else -math.inf
+            self.found[steps] = mean
+        return self.found[steps]
+
+    def _stretches(self, driven: Floats, length: float) -> Iterator[ScannedDrive]:
+        """Yield stretches of some metres of the map, evenly distributed; `driven` (k,) metres up to all keyframes."""
         ends = np.searchsorted(driven, driven + length)  # first keyframe that is so far ahead
         starts = np.flatnonzero(ends < len(driven))
         apart = np.cumsum(~self.chosen)  # equal at both ends if all keyframes between them are chosen
         starts = starts[self.chosen[starts] & (apart[starts] == apart[ends[starts]])]
-        count = max(1, round(SAMPLED_SUBMAPS / len(drive.submaps)))
+        count = round(SAMPLED_SUBMAPS / math.ceil(length / SUBMAP_LENGTH))
         for row in np.unique(np.linspace(0, len(starts) - 1, count).round().astype(np.int64)) if len(starts) else ():
             yield scan_stretch(self.mapper, self.local_field, range(int(starts[row]), int(ends[starts[row]]) + 1))
 

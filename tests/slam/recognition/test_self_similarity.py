@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from slam.estimation.slam_state import SlamState
+from slam.recognition import self_similarity
 from slam.recognition.drive_scans import DriveScans
 from slam.recognition.location import LOST, locate
 from slam.recognition.scanned_map import ScannedDrive, ScannedMap
-from slam.recognition.self_similarity import SelfSimilarity
+from slam.recognition.self_similarity import SAMPLED_SUBMAPS, SelfSimilarity
 
 from .test_drive_scans import known, mapped
 
@@ -43,6 +44,18 @@ def test_places_of_an_office_look_alike_less_than_a_decision_requires(office: Bu
 
 def test_places_of_a_corridor_with_equal_doors_look_alike_more_than_that() -> None:
     assert Building("equal_doors", 60.0, 4.0).similarity() > 2.0 * LOST.required
+
+
+def test_a_length_is_searched_for_once(office: Building, monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[ScannedDrive] = []
+    monkeypatch.setattr(self_similarity, "_evidence_elsewhere", lambda stretch, _: float(searched.append(stretch) or 1))
+    found: dict[int, float] = {}
+    state, chosen = office.state, np.ones(office.state.mapper.keyframe_count, dtype=bool)
+    for _ in range(2):
+        similarity = SelfSimilarity(state.mapper, state.local_field, chosen, office.map, found)
+        assert similarity.of(office.drive) == pytest.approx(1.0)
+    assert len(searched) == SAMPLED_SUBMAPS
+    assert len(found) == 1
 
 
 def test_a_map_that_is_shorter_than_the_drive_says_nothing(office: Building) -> None:
