@@ -82,7 +82,7 @@ def find_interlacing(turns: Turns) -> Interlacing | None:
 
 
 def _first_angles(scans: Sequence[Scan]) -> Floats:
-    """Return the angles of the first beams of the scans; none if they are not less than a step between beams apart."""
+    """Return the angles of the first beams of the scans; none if they differ by the angle between two beams or more."""
     first = np.sort([float(scan.angles[0]) for scan in scans if len(scan.angles) > 1])
     if not len(first):
         return first
