@@ -10,14 +10,15 @@ from ...errors import MapError
 from ...estimation.slam_state import SlamState
 from ...formatting import percent
 from ...localisation.local_field import REFERENCE_DISTANCE
-from ...loop_closure.criteria import MIN_KNOWN, is_determined
+from ...loop_closure.criteria import MIN_KNOWN, MIN_LOOP_FIT, is_determined
 from ...loop_closure.look import Look
 from ...loop_closure.submap_search import REVISIT_GAP, SubmapMatch, search_submap
 from ...loop_closure.submaps import Submaps
 from ...loop_closure.votes import RIVAL_QUALITY
 
 MIN_PLACE_FIT = 0.75
-"""Least fit of a match, more than at a loop closure: no other look has to agree, and no evidence is required."""
+"""Least fit of a match, more than at a loop closure: no other look has to agree, and no evidence is required. Where a
+closure was proposed, or closed before, looks or the evidence have led there, so MIN_LOOP_FIT is enough."""
 PROPOSED_REACH = 1.0
 """Metres around the pose of a proposed closure that are searched first: keyframes have moved since it was proposed."""
 PROPOSED_TURN = 0.2
@@ -43,14 +44,14 @@ def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | N
     among = mapper.landmarks.parts.connected(np.arange(mapper.keyframe_count), old)
     look = Look(mapper, state.local_field, Submaps(), among, apart=apart, keyframe=keyframe)
     here = look.relative(old, np.zeros(3))
-    searches = [(np.array([0.0, 0.0, here[2]]), REFERENCE_DISTANCE, np.pi)]
+    searches = [(np.array([0.0, 0.0, here[2]]), REFERENCE_DISTANCE, np.pi, MIN_PLACE_FIT)]
     if motion is not None:
-        searches.insert(0, (se2.compose(here, motion), PROPOSED_REACH, PROPOSED_TURN))
+        searches.insert(0, (se2.compose(here, motion), PROPOSED_REACH, PROPOSED_TURN, MIN_LOOP_FIT))
     matches = list[SubmapMatch]()
-    for prediction, reach, turn in searches:
+    for prediction, reach, turn, least in searches:
         if not matches:
             found = search_submap(look.submap, look.old_submap(old), prediction, reach, turn)
-            matches = [match for match in found if _fits(match) and is_determined(match)]
+            matches = [m for m in found if m.known >= MIN_KNOWN and m.fit >= least and is_determined(m)]
     if not matches:
         raise MapError(f"{name} are not one place: {_misfit(found)}")
     rivals = [match for match in matches if match.quality >= RIVAL_QUALITY * matches[0].quality]
@@ -60,10 +61,6 @@ def match_places(state: SlamState, old: int, keyframe: int, motion: se2.Pose | N
             raise MapError(f"{name}: the scans fit at {len(rivals)} poses equally well; name other keyframes nearby")
         rivals = admitted
     return look, rivals[0]
-
-
-def _fits(match: SubmapMatch) -> bool:
-    return match.known >= MIN_KNOWN and match.fit >= MIN_PLACE_FIT
 
 
 def _misfit(found: list[SubmapMatch]) -> str:
