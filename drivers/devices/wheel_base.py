@@ -65,8 +65,10 @@ class BaseKind(NamedTuple):
 
 
 BASE_KINDS: Mapping[str, BaseKind] = {
-    "create2": BaseKind("iRobot Create 2 or Roomba", Create2, create2.WHEELS, False, True, create2.WHEEL_RADIUS),
-    "kobuki": BaseKind("Kobuki", Kobuki, kobuki.WHEELS, False, False, kobuki.WHEEL_RADIUS),
+    "create2": BaseKind(
+        "iRobot Create 2 or Roomba", Create2, create2.WHEELS, dtr=False, sleeps=True, wheel_radius=create2.WHEEL_RADIUS
+    ),
+    "kobuki": BaseKind("Kobuki", Kobuki, kobuki.WHEELS, dtr=False, wheel_radius=kobuki.WHEEL_RADIUS),
     "arduino": BaseKind("ros_arduino_bridge", ArduinoBridge, None, dtr=True),
     "wheels": BaseKind("base with the project's own line protocol", WheelLine, None, dtr=True),
 }

@@ -213,10 +213,7 @@ class SurveyedRecording(ABC):
         return Turns(self._survey_messages())
 
     def _corrected(self, messages: Iterable[Message]) -> Iterator[Message]:
-        """Yield messages in time order, with scans without returns from the robot itself, and interlaced parts in time.
-
-        The parts are stamped as late as the first one.
-        """
+        """Yield messages without returns from the robot itself, and with corrected stamps of interlaced parts."""
         own, interlacing = self.own_returns, self.interlacing
         if own is not None:
             messages = (own.left_out(message) if isinstance(message, Scan) else message for message in messages)

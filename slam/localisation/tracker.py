@@ -260,7 +260,7 @@ class Tracker:
             return TrackingStatus.NO_FEATURES, False
         scans = self._untracked_in_a_row + 1
         after_gap = self._is_after_gap(scans)
-        # After a gap an even motion predicts nothing, and where odometry has not led, any place may look alike.
+        # After a gap neither an even motion nor a tentative pose predicts anything: any place may look alike.
         may_be_anywhere = after_gap and self.measured and (seems_slipped or confirms_slip)
         if not match.plausible or evidence.needs_impossible_motion or may_be_anywhere:
             return TrackingStatus.FAILED, False

@@ -20,7 +20,8 @@ from ..geometry.significance import MOST
 from ..loop_closure.submap_search import lowest_around
 from ..matching.distance_field import facing_grid
 from ..matching.free_space import SEEN_CELL, SEEN_CELLS
-from ..matching.point_costs import MISFIT, UNSEEN, cost_at
+from ..matching.offset_tiles import FIELD_CELL
+from ..matching.point_costs import UNSEEN, cost_at
 from ..matching.point_matcher import MAX_SEARCH_POINTS
 from ..matching.scan_points import subsample
 from .map_descriptor import MapDescriptor
@@ -37,19 +38,20 @@ def search_grid(submap: DriveSubmap, known: ScannedMap, most: int) -> Floats:
     points = np.ascontiguousarray(subsample(submap.points.points, MAX_SEARCH_POINTS))
     if not len(headings) or not len(points):
         return np.zeros((0, 3))
-    costs = np.array([_grid_costs(known.field.arrays, points, heading) for heading in headings.tolist()])
-    lowest = np.array([lowest_around(of_heading) for of_heading in costs])
-    low = np.flatnonzero((costs == lowest) & (costs < UNSEEN * len(points)))
-    low = low[np.argsort(costs.ravel()[low], kind="stable")[:most]]
-    heading, row, column = np.unravel_index(low, costs.shape)
-    positions = known.field.origin + SEEN_CELL * (np.column_stack([row, column]) + 0.5)
-    return np.column_stack([positions, headings[heading]])
+    found = [np.zeros((0, 4))]  # costs and poses
+    for heading in headings.tolist():  # one after the other, as large maps have millions of cells
+        costs = _grid_costs(known.field.arrays, points, heading)
+        low = np.argwhere((costs == lowest_around(costs)) & np.isfinite(costs))
+        positions = known.field.origin + SEEN_CELL * (low + 0.5)
+        found.append(np.column_stack([costs[low[:, 0], low[:, 1]], positions, np.full(len(low), heading)]))
+    poses = np.concatenate(found)
+    return np.asarray(poses[np.argsort(poses[:, 0], kind="stable")[:most], 1:])
 
 
 def parallel_headings(submap: MapDescriptor, known: MapDescriptor) -> Floats:
-    """Return headings (k,) of a submap in a map at which most walls, by their length, are parallel to walls of it.
+    """Return the headings (k,) of a submap in a map at which its walls are parallel to most metres of the map's walls.
 
-    Walls have a direction, as they are seen from one side.
+    Both must be seen from the same side. Headings with less than half of the metres of the best one are left out.
     """
     turns = (known.frame[:, None, 2] - submap.frame[:, 2]).ravel() % (2.0 * math.pi)
     lengths = np.minimum(known.half_length[:, None], submap.half_length).ravel()
@@ -72,21 +74,19 @@ def parallel_headings(submap: MapDescriptor, known: MapDescriptor) -> Floats:
 
 @compiled
 def _grid_costs(field, points, heading):  # type: ignore[no-untyped-def]
-    """Return the costs (s, s) of points (p, 6) with normals with their frame at the middle of each cell that was seen.
+    """Return the costs (s, s) of points (p, 6) with normals if their frame is in the middle of each cell that was seen.
 
-    Cells that were not seen cost as much as points that fit nowhere. A position that costs more than if nothing there
-    had been seen is given up.
+    The cost is infinite if the cell was not seen, and if the points cost as much as where nothing was seen.
     """
-    seen = field[3]
-    limit = UNSEEN * len(points)
+    seen, limit = field[3], UNSEEN * len(points)
     turned = np.empty((len(points), 2))
     grids = np.empty(len(points), np.int64)
     c, s = math.cos(heading), math.sin(heading)
     for k in range(len(points)):
-        turned[k, 0] = (c * points[k, 0] - s * points[k, 1]) / (SEEN_CELL / SEEN_CELLS)
-        turned[k, 1] = (s * points[k, 0] + c * points[k, 1]) / (SEEN_CELL / SEEN_CELLS)
+        turned[k, 0] = (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
+        turned[k, 1] = (s * points[k, 0] + c * points[k, 1]) / FIELD_CELL
         grids[k] = facing_grid(c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3])
-    costs = np.full(seen.shape, MISFIT * len(points))
+    costs = np.full(seen.shape, np.inf)
     for row in range(seen.shape[0]):
         for column in range(seen.shape[1]):
             if not seen[row, column]:
@@ -95,8 +95,8 @@ def _grid_costs(field, points, heading):  # type: ignore[no-untyped-def]
             total = 0.0
             for k in range(len(points)):
                 total += cost_at(field, grids[k], x + turned[k, 0], y + turned[k, 1])[0]
-                if total > limit:
+                if total >= limit:
                     break
-            if total <= limit:
+            if total < limit:
                 costs[row, column] = total
     return costs

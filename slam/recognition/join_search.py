@@ -119,10 +119,9 @@ class JoinSearch:
         for group in np.unique(groups[apart]).tolist():
             if group not in self._maps:
                 self._maps[group] = scan_keyframes(mapper, local_field, groups == group)
-            known, similar = self._maps[group], self._similarities.setdefault(group, {})
-            similarity = SelfSimilarity(mapper, local_field, groups == group, known, similar)
-            alike = None if self.expected.stated else similarity.of
-            found[group] = locate(drive, known, self.expected, similarity=alike)
+            known, by_length = self._maps[group], self._similarities.setdefault(group, {})
+            similarity = SelfSimilarity(mapper, local_field, groups == group, known, by_length)
+            found[group] = locate(drive, known, self.expected, similarity=similarity.of)
         group = max(found, key=lambda number: found[number].support)
         location, others = found[group], [found[number].support for number in found if number != group]
         if not location.accepted or any(location.support - support < location.required for support in others):

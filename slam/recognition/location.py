@@ -135,8 +135,9 @@ def locate(
     probability of that place. Submaps are accepted at the best placement if it is wrong with a probability of at most
     `expected.error`. So a drive that fits in several places is refused, however well it fits in each.
 
-    similarity  returns how much a drive at an unknown place resembles places of the map, see `SelfSimilarity.of`; it is
-                asked if the evidence suffices otherwise. None if places look alike by chance only
+    similarity  returns how much a drive at an unknown place resembles places of the map, see `SelfSimilarity.of`; asked
+                if the evidence suffices otherwise, unless it is stated that the drive is in the map. None if places
+                look alike by chance only
     """
     placements, count = find_placements(new, old, near), len(new.submaps)
     if not placements:
@@ -144,7 +145,7 @@ def locate(
         return Location(count, (), -math.inf, expected.required, -math.inf, reason)
     comparison = _Comparison(new, old, placements, expected, near)
     location = comparison.decide()
-    if location.accepted and similarity is not None:
+    if location.accepted and similarity is not None and not expected.stated:
         comparison.expect_similar_places(similarity(new))
         location = comparison.decide()
     return location

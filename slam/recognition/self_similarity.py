@@ -40,15 +40,15 @@ LENGTH_STEP = 0.5 * SUBMAP_LENGTH
 class SelfSimilarity:
     """Similarity of the places of the map of the keyframes `chosen` (k,) of a mapper.
 
-    known  this map, prepared to be searched
-    found  results by length, in multiples of LENGTH_STEP; they hold as long as the map does not change
+    known      this map, prepared to be searched
+    by_length  results by the length of a drive, in multiples of LENGTH_STEP; valid while the map does not change
     """
 
     mapper: Mapper
     local_field: LocalField
     chosen: NDArray[np.bool_]
     known: ScannedMap
-    found: dict[int, float] = field(default_factory=dict)
+    by_length: dict[int, float] = field(default_factory=dict)
 
     def of(self, drive: ScannedDrive) -> float:
         """Return the logarithm of the mean likelihood ratio of stretches as long as a drive, at wrong places.
@@ -58,12 +58,12 @@ class SelfSimilarity:
         driven = self.local_field.path_distances(self.mapper.travelled).driven
         length = sum(float(np.ptp(driven[submap.scan.keyframes])) for submap in drive.submaps)
         steps = max(1, math.ceil(length / LENGTH_STEP))
-        if steps not in self.found:
+        if steps not in self.by_length:
             stretches = self._stretches(driven, steps * LENGTH_STEP)
             evidence = [_evidence_elsewhere(stretch, self.known) for stretch in stretches]
             mean = float(np.logaddexp.reduce(evidence)) - math.log(len(evidence)) if evidence else -math.inf
-            self.found[steps] = mean
-        return self.found[steps]
+            self.by_length[steps] = mean
+        return self.by_length[steps]
 
     def _stretches(self, driven: Floats, length: float) -> Iterator[ScannedDrive]:
         """Yield stretches of some metres of the map, evenly distributed; `driven` (k,) metres up to all keyframes."""

@@ -10,7 +10,7 @@ import pytest
 from slam.estimation.slam_state import SlamState
 from slam.recognition import self_similarity
 from slam.recognition.drive_scans import DriveScans
-from slam.recognition.location import LOST, locate
+from slam.recognition.location import LOST, STATED, locate
 from slam.recognition.scanned_map import ScannedDrive, ScannedMap
 from slam.recognition.self_similarity import SAMPLED_SUBMAPS, SelfSimilarity
 
@@ -71,3 +71,7 @@ def test_a_match_is_refused_if_places_of_the_map_look_as_much_alike(office: Buil
     assert alike.evidence < 0.0
     assert not alike.accepted
     assert "places of the map look as much alike" in alike.reason
+
+
+def test_places_that_look_alike_do_not_count_if_the_drive_is_said_to_be_in_the_map(office: Building) -> None:
+    assert locate(office.drive, office.map, STATED, similarity=lambda _: 1e3).accepted
