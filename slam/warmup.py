@@ -21,6 +21,7 @@ from drivers.timing.own_returns import warm_up as warm_up_own_returns
 from drivers.timing.scan_matching import warm_up as warm_up_timing
 
 from .checks.adapter import drive_of
+from .checks.leave_out_map import LeaveOutMap
 from .checks.report import find_suspects
 from .config import Config
 from .estimation.estimator import Estimator
@@ -93,6 +94,7 @@ def warm_up() -> None:
     _search_submap()
     _search_poses()
     _count_person()
+    _refit_scan()
     _draw_grid()
     slam.finish()
 
@@ -123,6 +125,7 @@ def compile_preprocessing() -> None:
     _update_free_space()
     _search_poses()
     _count_person()
+    _refit_scan()
     _draw_grid()
     warm_up_simulation()
     warm_up_timing()
@@ -222,6 +225,14 @@ def _update_free_space() -> None:
     FreeSpaceEvidence().update(
         landmarks, np.array([0.0, -1.0, 0.0]), np.array([[0.0, 2.0]]), [0.0], np.zeros((1, 3, 3))
     )
+
+
+def _refit_scan() -> None:
+    """Compare a scan with a map of others, as the checks do if enough scans are there."""
+    others, points = LeaveOutMap(np.zeros((1, 2))), np.array([[1.0, 0.0, -1.0, 0.0, 0.0, 1.0]])
+    others.add(points, np.zeros(3))
+    around = others.around(np.zeros(2), 1.0)
+    around.gains(points, around.likelihoods(points, np.zeros(3)), np.zeros((1, 3)))
 
 
 def _draw_grid() -> None:

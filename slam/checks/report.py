@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .displaced_scans import displaced_scans
 from .drive import Drive
 from .passes import contradicting_passes
 from .step_checks import changed_views, misplaced_scans, wrong_odometry
@@ -30,5 +31,5 @@ def find_suspects(drive: Drive) -> list[Suspect]:
         for suspect in (wrong_odometry(sampled, steps) if sampled.has_odometry else ())
         if not any(suspect.first <= other.stamp <= suspect.last for other in changed)
     ]
-    found = [*misplaced, *changed, *odometry, *contradicting_passes(sampled)]
+    found = [*misplaced, *changed, *odometry, *contradicting_passes(sampled), *displaced_scans(sampled)]
     return sorted(found, key=lambda suspect: (suspect.check == ODOMETRY, -suspect.weight, suspect.stamp))

@@ -23,6 +23,7 @@ from ..loop_closure.relative_uncertainty import MAX_SQUARED_DISTANCE
 from ..odometry.history import wheel_travel
 from .distance_rings import DistanceRings, compared_points
 from .drive import Drive
+from .pose_search import search_pose
 
 # Scans that make the local field: about four metres of driving. Origin: chosen; not measured.
 FIELD_SCANS = 12
@@ -42,9 +43,6 @@ SEARCH_SIGMAS = 4.0
 MIN_SEARCH = np.array([0.3, 0.3, math.radians(8.0)])
 # Likewise. Origin: chosen; not measured.
 MAX_SEARCH = np.array([0.8, 0.8, math.radians(25.0)])
-# Poses along each axis of the first search and of the finer ones, and the half widths of these relative to the one
-# before. Origin: numerical, steps of the first search stay within the reach of the local field.
-FIRST_GRID, FINER_GRID, FINER_WIDTHS = 9, 5, (0.25, 0.5)
 # Metres of odometry between two scans above which the local field says nothing about a step.
 # Origin: definition, as far as one sees into the next room.
 MAX_STEP = ROOM_SIZE
@@ -135,16 +133,16 @@ def _search(
     field: DistanceRings, points: Floats, before: se2.Pose, measured: se2.Pose, variances: Floats, half_width: Floats
 ) -> tuple[se2.Pose, float, float]:
     """Return the most probable pose around odometry's, its fit, and the logarithm that odometry contributes."""
-    motion, width = measured, half_width
-    for count, scale in ((FIRST_GRID, 1.0), *((FINER_GRID, scale) for scale in FINER_WIDTHS)):
-        width = scale * width
-        offsets = (np.linspace(-extent, extent, count) for extent in width)
-        motions = motion + np.stack(np.meshgrid(*offsets, indexing="ij"), axis=-1).reshape(-1, 3)
-        fits = field.fits(points, se2.compose(before, motions))
-        priors = _log_prior((se2.between(measured, motions) ** 2 / variances).sum(axis=-1))
-        best = int(np.argmax(FIT_WEIGHT * fits + priors))
-        motion = motions[best]
-    return se2.compose(before, motion), float(fits[best]), float(priors[best])
+
+    def priors(motions: Floats) -> Floats:
+        return _log_prior((se2.between(measured, motions) ** 2 / variances).sum(axis=-1))
+
+    def scores(motions: Floats) -> Floats:
+        return FIT_WEIGHT * field.fits(points, se2.compose(before, motions)) + priors(motions)
+
+    motion = search_pose(scores, measured, half_width)
+    pose = se2.compose(before, motion)
+    return pose, float(field.fits(points, pose[None])[0]), float(priors(motion))
 
 
 def _log_prior(squared: Floats) -> Floats:

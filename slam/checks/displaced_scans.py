@@ -1,0 +1,107 @@
+"""Compare each scan with the map of the others: some in a row that fit it better elsewhere are displaced.
+
+Scans that were taken shortly before or after are left out of the map, as they may be displaced together. So the others
+must show the place, from elsewhere or on another pass; what they have not seen says nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from drivers import se2
+from drivers.immutable import immutable
+
+from ..formatting import counted
+from ..geometry.segments import Floats, Segments
+from ..matching.point_matcher import POINT_SPACING
+from ..matching.scan_points import surface_points
+from .distance_rings import compared_points
+from .drive import MIN_POINTS, Drive
+from .leave_out_map import LeaveOutMap, Surroundings
+from .passes import MAX_RANGE, MIN_SCANS
+from .pose_search import search_pose
+from .row_groups import MAX_GAP, consecutive_groups
+from .step_checks import MIN_DISPLACEMENT
+from .steps import FALSE_ALARM_PROBABILITY, FIELD_SCANS, FIT_WEIGHT, MAX_SEARCH
+from .suspect import MAP, Suspect
+
+# Normals of points are found from their neighbours alone. Origin: definition.
+NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
+
+
+@immutable
+class Refits:
+    """How much better n scans fit the map of the others elsewhere.
+
+    threshold     gain above which a scan is suspicious: ln of the number of scans per allowed false alarm
+    gain          (n,) logarithm of the likelihood there relative to that where the scan was placed; zero if no pose
+                  can be better by the threshold
+    motion        (n, 3) from where the scan was placed to there
+    displacement  (n,) metres (RMS) between its points here and there
+    """
+
+    threshold: float
+    gain: Floats
+    motion: Floats
+    displacement: Floats
+
+
+def displaced_scans(drive: Drive) -> Iterator[Suspect]:
+    """Yield the intervals of a sampled drive in which the scans would better be elsewhere, by the map of the others."""
+    found = refit_scans(drive)
+    suspicious = np.flatnonzero((found.gain > found.threshold) & (found.displacement > MIN_DISPLACEMENT))
+    for group in consecutive_groups(suspicious, MAX_GAP):
+        if len(group) < MIN_SCANS:
+            continue
+        worst = int(group[np.argmax(found.gain[group])])
+        x, y, turn = found.motion[worst].tolist()
+        text = (
+            f"the map does not fit together: {len(group)} scans fit the map of the others better elsewhere, this one "
+            f"{math.hypot(x, y):.2f} m and {counted(round(abs(math.degrees(turn))), 'degree')} from where it was placed"
+        )
+        first, last = float(drive.stamps[group[0]]), float(drive.stamps[group[-1]])
+        weight = float(found.gain[worst]) / found.threshold
+        yield Suspect(MAP, float(drive.stamps[worst]), first, last, drive.poses[worst, :2], weight, text)
+
+
+def refit_scans(drive: Drive) -> Refits:
+    """Search a better pose around that of each scan of a sampled drive, by the map of the scans not near to it."""
+    count = len(drive)
+    points = [_points(own) for own in drive.points]
+    found = Refits(
+        math.log(max(count, 1) / FALSE_ALARM_PROBABILITY), np.zeros(count), np.zeros((count, 3)), np.zeros(count)
+    )
+    others = LeaveOutMap(drive.poses[:, :2])
+    for row in range(FIELD_SCANS, count):
+        others.add(points[row], drive.poses[row])
+    for row in range(count):
+        if row + FIELD_SCANS < count:
+            others.leave_out(points[row + FIELD_SCANS], drive.poses[row + FIELD_SCANS])
+        if row > FIELD_SCANS:
+            others.add(points[row - FIELD_SCANS - 1], drive.poses[row - FIELD_SCANS - 1])
+        if len(points[row]) >= MIN_POINTS:
+            around = others.around(drive.poses[row, :2], MAX_RANGE + math.hypot(*MAX_SEARCH[:2]))
+            _refit(found, row, around, points[row], drive.poses[row])
+    return found
+
+
+def _points(points: Floats) -> Floats:
+    """Return the points (q, 6) of a scan that are compared, with normals."""
+    near = points[np.hypot(points[:, 0], points[:, 1]) <= MAX_RANGE]
+    return compared_points(surface_points(near, NO_SEGMENTS, POINT_SPACING))
+
+
+def _refit(found: Refits, row: int, around: Surroundings, points: Floats, pose: se2.Pose) -> None:
+    """Fill in what is found for a scan with `points` (p, 6) that was placed at `pose`."""
+    here = around.likelihoods(points, pose)
+    if FIT_WEIGHT * np.nansum(1.0 - here) / len(points) <= found.threshold:
+        return  # no pose can be that much better
+    there = search_pose(lambda poses: around.gains(points, here, poses), pose, MAX_SEARCH)
+    gains = around.likelihoods(points, there) - here  # now also with points behind what is at rest
+    found.gain[row] = FIT_WEIGHT * np.nansum(gains) / len(points)
+    found.motion[row] = se2.between(pose, there)
+    moved = se2.transform(pose, points[:, :2]) - se2.transform(there, points[:, :2])
+    found.displacement[row] = math.sqrt(float((moved**2).sum(axis=1).mean()))
