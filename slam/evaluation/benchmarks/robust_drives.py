@@ -18,6 +18,7 @@ from .scenarios.buildings import random_building, turning_path, wide_hall
 from .scenarios.later_drives import PATROL_SECONDS, small_stranger
 from .scenarios.log_variants import (
     LogVariant,
+    carry,
     crop,
     drift,
     fail_odometry,
@@ -88,6 +89,7 @@ VARIANTS: dict[str, DriveVariant] = {
     "backwards-drift": DriveVariant(drift(), backwards=True, drawn=True),
     "failing-odometry": DriveVariant(fail_odometry(), drawn=True),
     "failing-lidar": DriveVariant(lose_scans(), drawn=True),
+    "carried": DriveVariant(carry(), drawn=True),
     "jitter": DriveVariant(jitter(), drawn=True),
     "narrow": DriveVariant(crop(NARROW_HALF_ANGLE)),
     "short-range": DriveVariant(shorten()),

@@ -18,6 +18,7 @@ from slam.evaluation.benchmarks.scenarios.buildings import random_building, room
 from slam.evaluation.benchmarks.scenarios.later_drives import later_drive, small_stranger
 from slam.evaluation.benchmarks.scenarios.log_variants import (
     LogVariant,
+    carry,
     chain,
     crop,
     disturb,
@@ -98,6 +99,21 @@ def test_scans_are_missing_again_and_again_and_odometry_is_not() -> None:
     missing = between[between > 0.2]
     assert 5.0 < missing.min() < missing.max() < 40.2
     assert 0.05 < missing.sum() / between.sum() < 0.4
+
+
+def test_a_carried_robot_sends_nothing_meanwhile_and_its_odometry_starts_anew() -> None:
+    sent: list[Message] = []
+    for stamp in 0.1 * np.arange(20_000):
+        pose = np.array([5.0 * stamp, 0.0, 0.0])
+        sent += [Odometry(stamp, pose), Scan(stamp, np.ones(1), np.zeros(1), np.zeros(1), 0.1, 8.0)]
+    found = list(carry()(sent, np.random.default_rng(1)))
+    odometry = [message for message in found if isinstance(message, Odometry)]
+    assert [scan.stamp for scan in scans_of(found)] == [reading.stamp for reading in odometry]
+    between, moved = np.diff([one.stamp for one in odometry]), np.diff([one.pose[0] for one in odometry])
+    gaps = between > 0.2
+    assert 5.0 < between[gaps].min() < between[gaps].max() < 40.2
+    np.testing.assert_allclose([odometry[row + 1].pose for row in np.flatnonzero(gaps)], 0.0)
+    np.testing.assert_allclose(moved[~gaps], 0.5)
 
 
 def test_thinned_logs_have_few_scans_and_all_odometry() -> None:

@@ -38,8 +38,9 @@ def bench_robust(
             metavar="NAME",
             help="Map the recordings in this variant instead of as they are; can be repeated: backwards, drift "
             "(errors of odometry drawn from the seed), backwards-drift, failing-odometry, failing-lidar (without scans "
-            "for 5 to 40 s, again and again), jitter (noise of 1 micrometre), narrow (90 degrees of the field of "
-            "view), short-range (readings of up to 5 m), thinned.",
+            "for 5 to 40 s, again and again), carried (switched off meanwhile, and odometry starts anew), jitter "
+            "(noise of 1 micrometre), narrow (90 degrees of the field of view), short-range (readings of up to 5 m), "
+            "thinned.",
         ),
     ] = None,
     first_seed: Annotated[int, typer.Option("--first-seed", min=0, help="Seed of the first drive of a world.")] = 0,

@@ -194,6 +194,28 @@ def lose_scans() -> LogVariant:
     return failing
 
 
+def carry() -> LogVariant:
+    """Let the robot be switched off, carried along the way, and switched on again, now and then.
+
+    All messages are missing meanwhile, and odometry starts at zero again; for the times see `_Failures`.
+    """
+
+    def carried(messages: Iterable[Message], random: np.random.Generator) -> Iterator[Message]:
+        failures = _Failures(random)
+        start: Pose | None = None
+        for message in messages:
+            failures.advance(message.stamp)
+            if failures.failing:
+                start = None
+                continue
+            if isinstance(message, Odometry):
+                start = message.pose if start is None else start
+                message = replace(message, pose=se2.between(start, message.pose))
+            yield message
+
+    return carried
+
+
 class _Failures:
     """Failures of a device, whose times are drawn from WORKING and FAILING.
 
