@@ -36,7 +36,7 @@ from .scenarios.world_variants import add_crowd
 LaterMode: TypeAlias = Literal["localize", "continue"]
 """What a drive on another day does with the map of an earlier one."""
 
-SUFFIXES = (".clf", ".log", ".carmen", ".mcap", ".bag")
+SUFFIXES = (".clf", ".log", ".carmen", ".mcap", ".bag", ".db3")
 """Of recordings in one file; a folder with metadata.yaml is a ROS 2 bag."""
 COMPRESSED = (".gz", ".bz2")
 """Suffixes that may follow one of these."""

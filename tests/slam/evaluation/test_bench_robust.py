@@ -67,7 +67,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_recordings_are_found_with_their_references(tmp_path: Path) -> None:
-    names = ["intel/intel.clf.bz2", "mines/mines-1.clf", "mines/mines-3.clf", "lego/lego.clf", "dog/dog.bag"]
+    names = ["intel/intel.clf.bz2", "mines/mines-1.clf", "mines/mines-3.clf", "lego/lego.clf", "dog/dog.bag", "cat.db3"]
     references = ["intel/intel.relations", "intel/intel.gmapping.tum", "mines/mines-1.lama.tum", "lego/lego.camera.tum"]
     for name in [
         *names,
@@ -75,14 +75,16 @@ def test_recordings_are_found_with_their_references(tmp_path: Path) -> None:
         "mines/mines-1.gmapping.tum",
         "tb4/bag/metadata.yaml",
         "tb4/bag/a.mcap",
+        "tb4/bag/b.db3",
         "README",
     ]:
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).touch()
     found = {drive.name: drive.reference for drive in find_recordings(tmp_path)}
-    assert list(found) == ["dog", "intel", "lego", "mines/mines-1", "mines/mines-3", "tb4/bag"]
-    assert [drive.origin for drive in find_recordings(tmp_path)] == ["", "relations", "camera", "gmapping", "", ""]
+    assert list(found) == ["cat", "dog", "intel", "lego", "mines/mines-1", "mines/mines-3", "tb4/bag"]
+    assert [drive.origin for drive in find_recordings(tmp_path)] == ["", "", "relations", "camera", "gmapping", "", ""]
     assert [None if path is None else path.name for path in found.values()] == [
+        None,
         None,
         "intel.relations",
         "lego.camera.tum",
