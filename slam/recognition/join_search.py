@@ -17,18 +17,18 @@ from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.nearest_pose import relative_to_nearest
 from ..geometry.segments import Integers
 from ..localisation.local_field import LocalField
 from ..loop_closure.agreement import LoopAgreement
-from ..loop_closure.criteria import confirm, differ
-from ..loop_closure.decision import Check, LoopDecision, LoopMatch
+from ..loop_closure.criteria import differ
+from ..loop_closure.decision import LoopDecision
 from ..loop_closure.look import Look
-from ..loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
+from ..loop_closure.loop_hypothesis import LoopAgreementState
 from ..loop_closure.submaps import Submaps
 from ..mapping.mapper import Mapper
 from .drive_scans import DriveScans
-from .location import LOST, Expectation, Location, PlacedSubmap, locate
+from .located_closure import decide_at
+from .location import LOST, Expectation, Location, locate
 from .scanned_map import ScannedMap, scan_keyframes
 from .self_similarity import SelfSimilarity
 
@@ -130,32 +130,4 @@ class JoinSearch:
         if any(not differ(look, location.members[-1].motion, motion) for motion in self._retracted):
             return None
         old, since = np.flatnonzero(groups == group), int(connected.argmax())
-        return _decide(look, mapper, location, old, since)
-
-
-def _decide(look: Look, mapper: Mapper, location: Location, old: Integers, since: int) -> LoopDecision:
-    """Return the decision to move the drive to the place where it was located.
-
-    look   from the last keyframe
-    old    (n,) keyframes of the map in which it was located
-    since  first keyframe that is moved
-    """
-    matches = [_match(mapper, member, old) for member in location.members]
-    count = len(matches)
-    return confirm(
-        look,
-        LoopHypothesis(location.members[-1].motion, matches),
-        f"{count} of {location.submaps} submaps fit in one place only",
-        rival_support=0,
-        contradictions=location.submaps - count,
-        checks=(Check("evidence", location.evidence, location.required, at_least=True),),
-        since=since,
-        joins=True,
-    )
-
-
-def _match(mapper: Mapper, member: PlacedSubmap, old: Integers) -> LoopMatch:
-    """Return the match of a submap with the nearest of the keyframes `old` (n,)."""
-    last = member.keyframes[-1]
-    row, relative = relative_to_nearest(mapper.keyframe_poses[old], member.pose)
-    return LoopMatch(last, int(old[row]), relative, member.covariance, mapper.travelled[last], member.fit, member.known)
+        return decide_at(look, mapper, location, old, since, joins=True)

@@ -10,15 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers import se2
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..localisation.local_field import LocalField
-from ..loop_closure.criteria import MIN_SUPPORT, differ
+from ..loop_closure.criteria import MIN_SUPPORT, admits_closure, differ
 from ..loop_closure.decision import LoopDecision, LoopMatch
 from ..loop_closure.look import Look
 from ..loop_closure.loop_status import LoopStatus
@@ -27,9 +28,11 @@ from ..loop_closure.submaps import Submaps
 from ..mapping.mapper import Mapper
 from ..matching.distance_field import FIELD_HALF_WIDTH
 from .drive_scans import DriveScans
-from .location import DOUBTED, RECOGNISED, RETURNED, Expectation, PlacedSubmap, locate
+from .located_closure import decide_at
+from .location import DOUBTED, RECOGNISED, RETURNED, Expectation, Location, PlacedSubmap, locate
 from .placements import Uncertainty
 from .scanned_map import scan_keyframes
+from .self_similarity import SelfSimilarity
 
 
 def check_evidence(
@@ -37,7 +40,8 @@ def check_evidence(
 ) -> LoopDecision:
     """Return a loop that looks agree on, with only those matches that lead to where the drive as a whole fits.
 
-    It is rejected if the evidence of the drive does not suffice for its place, or if few matches are there.
+    It is rejected if the evidence of the drive does not suffice for any place. If it suffices for a place where few
+    matches are, the loop is closed there: looks follow furniture that was moved, of which they show much.
 
     among  (k,) keyframes of the connected part of the map
     """
@@ -55,15 +59,38 @@ def check_evidence(
         )
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
     uncertainty = Uncertainty(look.uncertainty.covariance(place))
-    location = locate(drive, known, _expected(look, decision), uncertainty)
+    search = partial(locate, drive, known, _expected(look, decision), uncertainty)
+    location = search()
     there = _matches_at(location.members, look, decision.matches, poses)
     elsewhere = f"{len(decision.matches) - len(there)} of {len(decision.matches)} looks"
     if len(there) >= MIN_SUPPORT and there[-1] is decision.matches[-1]:
         suffix = "" if len(there) == len(decision.matches) else f", but {elsewhere} are at another place than the drive"
         return replace(decision, matches=there, reason=decision.reason + suffix)
+    if location.accepted:
+        unique = search(SelfSimilarity(mapper, local_field, old, known).of)
+        if (closure := _closure_elsewhere(look, mapper, unique, np.flatnonzero(old), decision)) is not None:
+            return closure
     where = f"fits at another place than {elsewhere}" if location.accepted else "does not fit there"
     reason = f"the drive as a whole {where}: {location.reason}"
     return replace(decision, status=LoopStatus.REJECTED, reason=reason)
+
+
+def _closure_elsewhere(
+    look: Look, mapper: Mapper, location: Location, old: Integers, decision: LoopDecision
+) -> LoopDecision | None:
+    """Return the decision to close a loop where the drive was located, if it was, and has to be moved for it.
+
+    old       (n,) keyframes of the map in which it was located
+    decision  that looks agree on, to close the loop at another place
+    """
+    if not location.accepted or location.evidence < RECOGNISED.required:
+        return None
+    closure = decide_at(look, mapper, location, old, decision.since, joins=False)
+    last = closure.matches[-1]
+    if not differ(look, closure.correction, np.zeros(3)) or not admits_closure(look, last.old, last.relative):
+        return None
+    reason = f"{closure.reason}, at another place than the looks that agree"
+    return replace(closure, candidate=decision.candidate, reason=reason)
 
 
 def _matches_at(
