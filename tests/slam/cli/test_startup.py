@@ -3,10 +3,14 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
+import drivers
+import features
+import slam
 from slam.cli.app import app, leave_out_others
 from slam.cli.compilation import compile_for_recording
 
@@ -53,6 +57,11 @@ def test_the_help_is_printed_without_numpy_and_pydantic() -> None:
     code = "import sys\nimport slam.cli.app\nprint({'numpy', 'pydantic'} & set(sys.modules) or 'none')"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=250)
     assert (answer.stdout, answer.stderr) == ("none\n", "")
+
+
+@pytest.mark.parametrize("package", [features, drivers, slam], ids=lambda package: package.__name__)
+def test_every_public_name_is_found_when_it_is_used(package: ModuleType) -> None:
+    assert all(hasattr(package, name) for name in package.__all__)
 
 
 @pytest.fixture(scope="module")
