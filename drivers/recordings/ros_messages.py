@@ -182,9 +182,7 @@ def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1
     if not (abs(start) < 100.0 and abs(step) * count <= MAX_SPAN) or (abs(step) < MIN_ANGLE_STEP and count > 1):
         raise ValueError("angles are invalid")
     low = message.range_min if message.range_min > 0.0 else 0.0
-    high = message.range_max if message.range_max > low else math.inf
-    if high > FAR:
-        low, high = low / per_metre, high / per_metre
+    low, high = _limits(low, message.range_max if message.range_max > low else math.inf, per_metre)
     valid = (ranges > 0.0) & (ranges >= low) & (ranges < high)  # false for nan
     ranges = np.where(valid, ranges, np.nan)
     delay = message.time_increment
@@ -198,18 +196,23 @@ def scan_of(message: Any, received: int, mount: LidarMount, per_metre: float = 1
     return Scan(stamp, ranges, angles, offsets, low, high, mount.pose, intensities=strengths)
 
 
+def _limits(low: float, high: float, per_metre: float) -> tuple[float, float]:
+    """Return the limits of ranges in metres; they are in metres already unless they are beyond any range in metres."""
+    return (low / per_metre, high / per_metre) if high > FAR else (low, high)
+
+
 def intensities_of(message: Any) -> Floats | None:
     """Return the intensities of a LaserScan; None if it does not have one for each beam."""
     found = np.asarray(message.intensities, dtype=np.float64)
     return found if len(found) == len(message.ranges) else None
 
 
-def exact_scan_of(message: Any, stamp: float, mount: Pose | None) -> Scan:
-    """Convert a BEAMS message to a Scan; raises ValueError if it is invalid."""
+def exact_scan_of(message: Any, stamp: float, mount: Pose | None, per_metre: float = 1.0) -> Scan:
+    """Convert a BEAMS message to a Scan, see `scan_of`; raises ValueError if it is invalid."""
     data = np.array(message.data, dtype=np.float64)
     if len(data) < 5 or (len(data) - 2) % 3:
         raise ValueError("exact beams are incomplete")
     angles, ranges, offsets = data[2:].reshape(3, -1)
     if not (np.all(np.diff(angles) > 0) and np.ptp(angles) <= MAX_SPAN and np.all(np.isfinite(offsets))):
         raise ValueError("exact beams are not in order")
-    return Scan(stamp, ranges, angles, offsets, float(data[0]), float(data[1]), mount)
+    return Scan(stamp, ranges / per_metre, angles, offsets, *_limits(float(data[0]), float(data[1]), per_metre), mount)

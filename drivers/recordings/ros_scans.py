@@ -67,7 +67,7 @@ class ScanConverter:
             scan = scan_of(message, stored.received, mount, self.per_metre)
             return replace(scan, ranges=np.where(scan.ranges < self.no_return, scan.ranges, np.nan))
         stamp = stamp_of(message.header, stored.received)
-        scan = exact_scan_of(decode(beams.data, BEAMS, beams.encoding), stamp, mount.pose)
+        scan = exact_scan_of(decode(beams.data, BEAMS, beams.encoding), stamp, mount.pose, self.per_metre)
         strengths = intensities_of(message)
         fits = strengths is not None and len(strengths) == len(scan.ranges)
         return replace(scan, intensities=strengths) if fits else scan

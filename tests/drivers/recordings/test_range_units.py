@@ -11,7 +11,7 @@ import pytest
 import drivers
 from drivers import Message, Odometry, Scan, SourceReport, se2
 from drivers.recordings.carmen import CarmenReader
-from drivers.recordings.mcap import McapReader
+from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.recordings.range_units import ScanInUnits, find_range_unit
 from drivers.recordings.ros_encoder import RosEncoder
 from drivers.simulation import LidarModel, Simulation
@@ -103,6 +103,19 @@ def test_bag_in_millimetres_is_read_in_metres(tmp_path: Path, office: list[Messa
     read = [message for message in source if isinstance(message, Scan)]
     for scan, original in zip(read, (m for m in office if isinstance(m, Scan)), strict=True):
         assert scan.ranges == pytest.approx(original.ranges, abs=0.00051, nan_ok=True)
+        assert scan.range_max == 40.0
+    assert source.report.interpretations == ["ranges in millimetres, converted to metres"]
+
+
+def test_own_recording_in_millimetres_is_read_in_metres(tmp_path: Path, office: list[Message]) -> None:
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        for one in office:
+            is_scan = isinstance(one, Scan)
+            writer.write(replace(one, ranges=one.ranges * 1000.0, range_max=40_000.0) if is_scan else one)
+    source = drivers.open(tmp_path / "drive.mcap", "forward")
+    read = [message for message in source if isinstance(message, Scan)]
+    for scan, original in zip(read, (m for m in office if isinstance(m, Scan)), strict=True):
+        assert scan.ranges == pytest.approx(original.ranges, nan_ok=True)
         assert scan.range_max == 40.0
     assert source.report.interpretations == ["ranges in millimetres, converted to metres"]
 
