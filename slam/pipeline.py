@@ -84,6 +84,8 @@ class Slam:
         """
         if plan is not None and resumed is not None:
             raise MapError("a plan cannot be used together with a session that is continued")
+        if resumed is None and (frozen or (start is not None and plan is None)):
+            raise MapError("there is no map for `frozen` or `start`: they require a session, or `start` a plan")
         if refine and resumed is not None and (changes := fragile_changes(resumed.slam_state.mapper)):
             raise MapError(f"the session to continue has {changes}, which a refinement would drop")
         self._initial_pose = start if plan is None else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,6 +49,12 @@ def largest_error(finished: Finished, messages: list[Message]) -> float:
     truth = [message for message in messages if isinstance(message, GroundTruth)]
     reference = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
     return float(score_reference(Trajectory(finished.stamps, finished.poses), reference).figures()["ate_max"])
+
+
+@pytest.mark.parametrize("options", [{"frozen": True}, {"start": np.zeros(3)}], ids=["frozen", "start"])
+def test_a_run_needs_a_map_to_be_localised_in(options: dict[str, Any]) -> None:
+    with pytest.raises(MapError, match="there is no map"):
+        Slam(**options)
 
 
 def test_the_map_stays_as_it_is_between_and_the_path_has_no_gap(messages: list[Message], tmp_path: Path) -> None:
