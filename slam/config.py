@@ -232,7 +232,7 @@ class Config(Settings):
         return 0.0 if second is None else second - (self.lidar.delay or 0.0)
 
 
-def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Config:
+def load_config(path: Path | str | None = None, overrides: Iterable[str] = ()) -> Config:
     """Load settings from a TOML file, then apply overrides `group.key=value` in their order.
 
     Values of overrides are in TOML syntax; bare words are strings. Raises ConfigurationError, which names the file or
@@ -241,7 +241,7 @@ def load_config(path: Path | None = None, overrides: Iterable[str] = ()) -> Conf
     data: dict[str, Any] = {}
     if path is not None:
         try:
-            data = tomllib.loads(path.read_text(encoding="utf-8"))
+            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror or error}") from error
         except (ValueError, RecursionError) as error:

@@ -73,7 +73,7 @@ class Relations:
         return len(self.first)
 
 
-def read_relations(path: Path) -> Relations:
+def read_relations(path: Path | str) -> Relations:
     """Read relations of the SLAM benchmark, one `t1 t2 x y z roll pitch yaw` per line.
 
     Raises MapError with file and line.

@@ -62,10 +62,10 @@ def write_keyframes(path: Path, keyframes: Keyframes) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
 
 
-def read_keyframes(path: Path) -> Keyframes:
+def read_keyframes(path: Path | str) -> Keyframes:
     """Read keyframes. Raises MapError naming the file and the line."""
     try:
-        header, *lines = path.read_text(encoding="ascii").splitlines() or [""]
+        header, *lines = Path(path).read_text(encoding="ascii").splitlines() or [""]
     except OSError as error:
         raise MapError(f"{path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:

@@ -128,9 +128,9 @@ def write_map(path: Path, walls: MapWalls, corners: MapCorners) -> None:
     path.write_text(_to_json(document), encoding="utf-8", newline="\n")
 
 
-def read_map(path: Path) -> MapFile:
+def read_map(path: Path | str) -> MapFile:
     """Read a map. Raises MapError naming the file and the problem: not JSON, another version, an invalid value."""
-    data = read_json(path)
+    data = read_json(Path(path))
     if not isinstance(data, dict) or data.get("format") != FORMAT:
         raise MapError(f'{path}: is not a map: its format is not "{FORMAT}"')
     if data.get("version") not in SUPPORTED_VERSIONS:

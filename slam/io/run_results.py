@@ -100,8 +100,9 @@ def write_results(directory: Path, finished: Finished, config: Config, summary: 
     write_json(directory / SUMMARY, summary)
 
 
-def read_run_results(path: Path) -> RunResults:
+def read_run_results(path: Path | str) -> RunResults:
     """Read the results in the output directory of a run. Raises MapError naming the file that is missing or invalid."""
+    path = Path(path)
     require_results(path)
     for name in (MAP, TRAJECTORY, SUMMARY):
         if not (path / name).is_file():

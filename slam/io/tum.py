@@ -106,13 +106,13 @@ def distance_along(positions: Floats) -> Floats:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions, axis=0).T))])
 
 
-def write_tum(path: Path, trajectory: Trajectory, stamps: Floats | None = None) -> None:
+def write_tum(path: Path | str, trajectory: Trajectory, stamps: Floats | None = None) -> None:
     """Write a trajectory with microseconds, micrometres and nine decimals of the quaternion.
 
     stamps  (n,) seconds, written instead of the trajectory's own; they may go back
     """
     stamps = trajectory.stamps if stamps is None else stamps
-    with path.open("w", encoding="ascii", newline="\n") as file:
+    with Path(path).open("w", encoding="ascii", newline="\n") as file:
         for begin in range(0, len(stamps), BLOCK):
             file.writelines(_lines(stamps[begin : begin + BLOCK], trajectory.poses[begin : begin + BLOCK]))
 
@@ -125,7 +125,7 @@ def _lines(stamps: Floats, poses: Floats) -> Iterator[str]:
         yield f"{stamp:.6f} {x:z.6f} {y:z.6f} 0.000000 0 0 {qz:z.9f} {qw:z.9f}\n"
 
 
-def read_tum(path: Path) -> Trajectory:
+def read_tum(path: Path | str) -> Trajectory:
     """Read a trajectory; height and tilt are ignored, poses are sorted by stamp, `#` starts a comment.
 
     Raises MapError naming the file and, if possible, the line.
@@ -133,7 +133,7 @@ def read_tum(path: Path) -> Trajectory:
     return Trajectory.sorted(*read_tum_poses(path))
 
 
-def read_tum_poses(path: Path) -> tuple[Floats, Floats]:
+def read_tum_poses(path: Path | str) -> tuple[Floats, Floats]:
     """Read the stamps (n,) and poses (n, 3) of a trajectory like `read_tum`, in the order of the lines.
 
     Raises MapError naming the file and, if possible, the line.
@@ -158,7 +158,7 @@ class NumberTable:
     lines: list[int]
 
 
-def read_table(path: Path, columns: int, meaning: str) -> NumberTable:
+def read_table(path: Path | str, columns: int, meaning: str) -> NumberTable:
     """Read rows of `columns` finite numbers separated by white space; empty lines and `#` comments are skipped.
 
     Raises MapError naming the file, the line, and the expected columns (`meaning`).
@@ -166,7 +166,7 @@ def read_table(path: Path, columns: int, meaning: str) -> NumberTable:
     rows: list[list[float]] = []
     lines: list[int] = []
     try:
-        text = path.read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise MapError(f"{path}: is not a text file; expected lines of {meaning}") from error
     except OSError as error:

@@ -15,9 +15,14 @@ from drivers.messages import Message
 from drivers.simulation import Simulation
 from slam.config import Config, LidarConfig, load_config
 from slam.errors import MessageError, OutputError
-from slam.io.output_dir import CONFIG
+from slam.evaluation.metrics import read_relations
+from slam.io.exports import write_pgm, write_pgm_yaml
+from slam.io.keyframes_csv import read_keyframes
+from slam.io.map_json import read_map
+from slam.io.output_dir import CONFIG, KEYFRAMES, MAP
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
+from slam.io.tum import read_tum, write_tum
 
 ROOM = "sim:room?duration=10&seed=2&lidar=short"
 
@@ -37,6 +42,22 @@ def save(pipeline: slam.Slam, messages: Sequence[Message], directory: Path) -> s
 
 def later(messages: Sequence[Message]) -> list[Message]:
     return [replace(message, stamp=message.stamp + 1000.0) for message in messages]
+
+
+def test_files_are_named_by_paths_or_text(tmp_path: Path) -> None:
+    mapped = slam.run("sim:room?duration=3")
+    directory, grid, relations = str(tmp_path / "saved"), str(tmp_path / "grid"), tmp_path / "room.relations"
+    mapped.save(directory)
+    relations.write_text("0 1 0.1 0 0 0 0 0\n")
+    write_pgm(f"{grid}.pgm", mapped.occupancy())
+    write_pgm_yaml(f"{grid}.yaml", mapped.occupancy(), "grid.pgm")
+    write_tum(f"{grid}.tum", mapped.trajectory)
+    assert load_config(f"{directory}/{CONFIG}") == mapped.config
+    assert len(read_map(f"{directory}/{MAP}").walls) == len(read_run_results(directory).walls) == len(mapped.walls)
+    assert len(read_keyframes(f"{directory}/{KEYFRAMES}")) == len(mapped.keyframes)
+    assert len(read_tum(f"{grid}.tum").stamps) == len(mapped.stamps)
+    assert read_session(directory).latest == mapped.stamps[-1]
+    assert len(read_relations(str(relations))) == 1
 
 
 def test_a_saved_recording_has_the_files_of_wclm_run(wclm: Any, tmp_path: Path) -> None:

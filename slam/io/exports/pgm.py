@@ -23,11 +23,11 @@ OCCUPIED_THRESHOLD, FREE_THRESHOLD = 0.65, 0.196
 would be read as free."""
 
 
-def write_pgm(path: Path, occupancy: Occupancy) -> None:
+def write_pgm(path: Path | str, occupancy: Occupancy) -> None:
     """Write the picture."""
     rows, columns = occupancy.cells.shape
     upside_down = occupancy.cells[::-1]
-    with path.open("wb") as file:
+    with Path(path).open("wb") as file:
         file.write(b"P5\n%d %d\n255\n" % (columns, rows))
         for row in range(0, rows, BLOCK):
             block = upside_down[row : row + BLOCK]
@@ -37,10 +37,10 @@ def write_pgm(path: Path, occupancy: Occupancy) -> None:
             file.write(pixels.tobytes())
 
 
-def write_pgm_yaml(path: Path, occupancy: Occupancy, image: str) -> None:
+def write_pgm_yaml(path: Path | str, occupancy: Occupancy, image: str) -> None:
     """Write the YAML file; `image` is the path of the picture relative to it."""
     x, y = occupancy.origin.tolist()
-    path.write_text(
+    Path(path).write_text(
         f"image: {json.dumps(image)}\n"
         "mode: trinary\n"
         f"resolution: {occupancy.resolution:.6f}\n"

@@ -87,12 +87,13 @@ def is_session(path: Path) -> bool:
     return (path / SESSION / HEADER).is_file()
 
 
-def read_session(path: Path, *, solve: bool = True) -> StoredSession:
+def read_session(path: Path | str, *, solve: bool = True) -> StoredSession:
     """Read the session in the directory of a run. Raises MapError naming the file and the problem.
 
     solve  solve the graph with all keyframes. If not, the last ones may be waiting for that, and a continued run gives
            exactly the estimate of an uninterrupted one
     """
+    path = Path(path)
     require_results(path)
     folder = path / SESSION
     if not is_session(path):
