@@ -12,7 +12,16 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
 from .bounds import MAX_MOUNT, MAX_ODOMETRY_DEVIATION, MAX_TURN
 from .errors import ConfigurationError, shortened
@@ -188,7 +197,7 @@ class PlanConfig(Settings):
 
 
 class Config(Settings):
-    """All settings. The defaults suit indoor lidars on a wheel base."""
+    """All settings. The defaults suit indoor lidars on a wheel base. A wrong one raises ConfigurationError."""
 
     lidar: LidarConfig = LidarConfig()
     odometry: OdometryConfig = OdometryConfig()
@@ -197,6 +206,15 @@ class Config(Settings):
     loop_closure: LoopClosureConfig = LoopClosureConfig()
     plan: PlanConfig = PlanConfig()
     second_lidar: SecondLidarConfig = SecondLidarConfig()
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _name_wrong_setting(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Raise ConfigurationError, with one line, instead of the error of the library."""
+        try:
+            return handler(data)
+        except ValidationError as error:
+            raise ConfigurationError(_name_and_reason(error.errors()[0])) from error
 
     def of_lidar(self, number: int) -> LidarConfig:
         """Return the properties of a lidar by its number, `Scan.lidar`."""
@@ -270,9 +288,8 @@ def validated_config(data: Any, place: str) -> Config:
     """Return settings from plain data. Raises ConfigurationError, which names `place` and the setting."""
     try:
         return Config.model_validate(data)
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ConfigurationError(f"{place}: {_name_and_reason(first)}") from error
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{place}: {error}") from error
 
 
 def _name_and_reason(error: ErrorDetails) -> str:

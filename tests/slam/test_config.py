@@ -1,5 +1,7 @@
 import math
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,6 +60,20 @@ def test_a_wrong_override_is_named(override: str, message: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         load_config(overrides=[override])
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("groups", "message"),
+    [
+        ({"lidar": {"mout": (0.1, 0.0, 0.0)}}, "lidar.mout: no such setting; known are sigma_range,"),
+        ({"lidar": {"mount": (0.1, 0.0)}}, "lidar.mount: must be a list of three numbers"),
+        ({"laser": {}}, "laser: no such setting; known are lidar,"),
+    ],
+)
+def test_a_wrong_setting_in_python_is_one_line(groups: dict[str, Any], message: str) -> None:
+    for create in (Config, lambda **data: Config.model_validate(data)):
+        with pytest.raises(ConfigurationError, match=f"^{re.escape(message)}.*$"):
+            create(**groups)
 
 
 @pytest.mark.parametrize("name", ["translation_error", "rotation_walk", "translation_floor", "rotation_floor"])
