@@ -15,7 +15,7 @@ from drivers.immutable import immutable
 from drivers.messages import GroundTruth, Odometry, Source
 
 from .config import Config
-from .errors import MapError
+from .errors import MapError, OutputError
 from .evaluation.metrics import score_true_path
 from .events import Finished, Sink
 from .formatting import counted
@@ -145,9 +145,11 @@ class MappedRecording:
         return self.slam.slam_state.mapper.graph.factors_and_values()
 
     def plot(self, path: Path | str) -> None:
-        """Draw map and path into an image file, as `wclm run --plot` does; needs matplotlib. Raises OutputError."""
+        """Draw map and path into a PNG file, as `wclm run --plot` does; needs matplotlib. Raises OutputError."""
         from .visualisation.plots import plot_map
 
+        if Path(path).suffix != ".png":
+            raise OutputError(f"{path}: the name must end with .png")
         odometry = self.odometry if len(self.odometry) else None
         truth = None if self.truth is None else self.truth.poses
         plot_map(

@@ -21,7 +21,7 @@ from drivers.messages import Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LIDAR_MODELS, Simulation
 from slam.config import LidarConfig
-from slam.errors import SlamError
+from slam.errors import OutputError, SlamError
 from slam.io.exports import write_pgm
 from slam.io.recording_timing import UNKNOWN_MOUNT
 from slam.io.tum import read_tum_poses
@@ -103,6 +103,8 @@ def test_it_plots_into_a_file(mapped: slam.MappedRecording, tmp_path: Path) -> N
     mapped.plot(tmp_path / "map.png")
     with Image.open(tmp_path / "map.png") as picture:
         assert min(picture.size) > 300
+    with pytest.raises(OutputError, match=r"map\.svg: the name must end with \.png"):
+        mapped.plot(tmp_path / "map.svg")
 
 
 def test_a_robot_that_stands_has_driven_nothing(mapped: slam.MappedRecording) -> None:
