@@ -19,6 +19,7 @@ from .estimation.scan_update import add_second_look
 from .estimation.slam_state import SlamState
 from .estimation.stage_timer import StageTimer
 from .events import Finished, GroundTruthReceived, ModeChanged, Notice, Sink
+from .formatting import counted
 from .geometry.segments import Floats
 from .localisation.state import LocalisationEvent, LocalisationState
 from .localisation.tracking import TrackingResult
@@ -310,7 +311,13 @@ class Slam:
         return self._stored.snapshot(self.slam_state, self._summary(self._journal.scans[-1].stamp), self._results_after)
 
     def keyframe_covariance(self, index: int) -> Floats:
-        """Return the covariance (3, 3) of a keyframe's pose in its own frame (metres, metres, radians)."""
+        """Return the covariance (3, 3) of a keyframe's pose in its own frame (metres, metres, radians).
+
+        Raises MapError if there is no such keyframe.
+        """
+        count = self.slam_state.mapper.keyframe_count
+        if not 0 <= index < count:
+            raise MapError(f"there is no keyframe {index}: the map has {counted(count, 'keyframe')}")
         features = self._journal.features_at(self.slam_state.keyframe_stamps[index])
         return self.slam_state.mapper.covariances.of_keyframe(index) + features.sweep_covariance
 

@@ -356,6 +356,9 @@ def test_map_and_pose_can_be_read_while_driving(drive: list[Message]) -> None:
     pose[:] = 99.0
     assert np.abs(slam.pose).max() < 10.0
     assert slam.keyframe_covariance(3).shape == (3, 3)
+    for index in (-1, 1000):
+        with pytest.raises(MapError, match=f"there is no keyframe {index}: the map has "):
+            slam.keyframe_covariance(index)
 
 
 class ForbiddenSearch(LoopAgreement):
