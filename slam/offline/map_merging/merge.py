@@ -89,5 +89,6 @@ def _check_recordings(sessions: Sequence[tuple[str, StoredSession]]) -> None:
             first, last = (round(stamp - recording.shift, 3) for stamp in (recording.first, recording.last))
             key = recording.name, recording.path, first, last
             if key in names:
-                raise MapError(f"{name}: contains the recording {recording.name}, and so does {names[key]}")
+                hint = "" if recording.path else "; if these are two drives, save their runs under two names"
+                raise MapError(f"{name}: contains the recording {recording.name}, and so does {names[key]}{hint}")
             names[key] = name

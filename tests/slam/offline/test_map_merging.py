@@ -263,6 +263,16 @@ def test_session_that_overlaps_no_other_is_refused(fake_sessions: dict[str, Any]
         merge_sessions([(name, fake_sessions[name]) for name in ("east", "elsewhere", "middle")])
 
 
+@pytest.mark.parametrize(
+    ("path", "hint"), [("drive.mcap", ""), (None, "; if these are two drives, save their runs under two names")]
+)
+def test_runs_of_one_name_and_time_count_as_one(fake_sessions: dict[str, Any], path: str | None, hint: str) -> None:
+    recordings = (Recording(name="run", path=path, first=0.0, last=60.0),)
+    twice = [(name, replace(fake_sessions[name], recordings=recordings)) for name in ("east", "middle")]
+    with pytest.raises(MapError, match=f"^middle: contains the recording run, and so does east{hint}$"):
+        merge_sessions(twice)
+
+
 # Places that look alike
 
 LOOKALIKE = {
