@@ -95,6 +95,8 @@ class RecordingReader(SurveyedRecording):
         if far > used[Scan]:
             self._lost_scans = f"{far} of {read[Scan]} scans cannot be used: do all sensors stamp in seconds?{first}"
             self.doubt(self._lost_scans)
+        elif first and not used[Scan]:
+            self._lost_scans = f"{self._reason_without_scans()}{first}"
 
     def _read_error(self, error: OSError) -> RecordingError:
         return RecordingError(self.path, None, f"cannot be read: {error.strerror or error}")

@@ -132,6 +132,12 @@ def test_ros_tools_read_the_recording(tmp_path: Path, drive: list[Message]) -> N
                 break
 
 
+def test_it_is_named_why_no_scan_can_be_read(tmp_path: Path) -> None:
+    messages = [scan(1.0, [2.0, 2.0], [1.0, 0.0]), Odometry(1.0, np.zeros(3))]
+    with pytest.raises(RecordingError, match=r"contains no readable .*mcap:.*: exact beams are not in order\)$"):
+        McapReader(record(tmp_path / "a.mcap", messages)).check_scans()
+
+
 def test_existing_files_are_overwritten_only_on_request(tmp_path: Path, drive: list[Message]) -> None:
     path = record(tmp_path / "a.mcap", drive)
     with pytest.raises(RecordingError, match="exists already"):
