@@ -114,11 +114,16 @@ def _closures(data: SessionData) -> Iterator[str]:
         if decision["status"] not in NOT_APPLIED:
             effect = f"moved by {decision['shift']:.2f} m, {counted(decision['merged'], 'wall')} merged"
             reason = f": {decision['reason']}" if decision["status"] == LoopStatus.RETRACTED else ""
-            yield f"  {decision['status']:<10}x{decision['keyframe']} at x{decision['old']}, {effect}{reason}"
+            yield f"  {decision['status']:<10}{_named(decision)}, {effect}{reason}"
     for decision in by_margin([decision for decision in decisions if decision["status"] in NOT_APPLIED])[
         :SHOWN_REJECTED
     ]:
-        yield f"  rejected  x{decision['keyframe']} at x{decision['old']}: {decision['reason']}"
+        yield f"  rejected  {_named(decision)}: {decision['reason']}"
+
+
+def _named(decision: dict[str, Any]) -> str:
+    """Return the number of a loop, as `wclm correct` takes it, and its keyframes."""
+    return f"loop {decision['candidate']}, x{decision['keyframe']} at x{decision['old']}"
 
 
 def _decisions(data: SessionData) -> Iterator[dict[str, Any]]:
@@ -130,6 +135,7 @@ def _decisions(data: SessionData) -> Iterator[dict[str, Any]]:
         value = {name: values[0] for name, values in row.values.items() if values}
         yield {
             "status": value["status"],
+            "candidate": value["loop"],
             "keyframe": value["at_keyframe"],
             "old": value["old_keyframe"],
             "reason": value["reason"],

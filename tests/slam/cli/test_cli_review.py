@@ -81,7 +81,7 @@ def test_summary_starts_no_viewer(wclm: Any, session: Path, monkeypatch: pytest.
 def test_summary_lists_the_loop_closures_of_the_log(wclm: Any, closure_log: Path) -> None:
     text = wclm("review", closure_log, "--summary").stdout
     assert "1 accepted" in text
-    assert "accepted  x100 at x3, moved by 1.80 m, 1 wall merged" in text
+    assert "accepted  loop 1, x100 at x3, moved by 1.80 m, 1 wall merged" in text
 
 
 def test_summary_works_without_a_log(wclm: Any, session: Path, tmp_path: Path) -> None:
