@@ -26,6 +26,8 @@ MIN_KNOWN = 0.4
 # Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
 # if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof.
 MAX_CLOSED_DISTANCE = chi_square_quantile(STRICT_GATE, 3)
+# Name of the check that the positions that the looks show are far enough apart. Origin: definition.
+EXTENT = "extent"
 # Looks that must support a hypothesis. Origin: definition, one proposes it, and another one tests it.
 MIN_SUPPORT = 2
 # Looks that must support a hypothesis that leads to another place, or contradict the estimate before it is in doubt.
@@ -82,7 +84,7 @@ def support_checks(
     checks = [
         Check("support", count, least, at_least=True),
         Check("span", hypothesis.span, span, at_least=True),
-        Check("extent", extent, NORMAL_LIMIT * look.deviation_at(first), at_least=True),
+        Check(EXTENT, extent, NORMAL_LIMIT * look.deviation_at(first), at_least=True),
         Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
     ]
     if elsewhere:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .criteria import confirm, prevails, support_checks
+from .criteria import EXTENT, confirm, prevails, support_checks
 from .decision import Check, LoopDecision
 from .look import Look
 from .loop_hypothesis import LoopHypothesis
@@ -32,14 +32,15 @@ class Judgement:
     def accepted(self, *, ended: bool = False) -> LoopDecision | None:
         """Return a closure that enough looks support, that few contradict and that has no equal rival.
 
-        If the run has `ended`, few looks are enough, for the evidence of the drive to decide on the closure.
+        If the run has `ended`, few looks are enough, and the robot need not have been as far away as its position may
+        be wrong, see `criteria.support_checks`: then the evidence of the drive decides on the closure.
         """
         for hypothesis in self.hypotheses:
             if hypothesis.support[-1].keyframe != self.look.last:
                 continue
             consistent, checks = self._judged(hypothesis, ended=ended)
             rivals = self._rivals(hypothesis)
-            if all(check.passed for check in checks) and all(prevails(consistent, rival) for rival in rivals):
+            if _suffice(checks, ended=ended) and all(prevails(consistent, rival) for rival in rivals):
                 return self._decide(consistent, rivals, checks)
         return None
 
@@ -55,7 +56,7 @@ class Judgement:
     def _judged(self, hypothesis: LoopHypothesis, *, ended: bool = False) -> tuple[LoopHypothesis, tuple[Check, ...]]:
         """Return a hypothesis with its checks; if it passes them, with the consistent part of its support only."""
         checks = self._checks(hypothesis, ended=ended)
-        if all(check.passed for check in checks):
+        if _suffice(checks, ended=ended):
             hypothesis = replace(hypothesis, support=self.look.consistent(hypothesis.support))
             checks = self._checks(hypothesis, ended=ended)
         return hypothesis, checks
@@ -83,3 +84,8 @@ class Judgement:
             since=self.look.first_of_part if self.joins else self.look.keyframe_at(wrong_since),
             joins=self.joins,
         )
+
+
+def _suffice(checks: Sequence[Check], *, ended: bool) -> bool:
+    """Return True if all checks are passed that a closure needs before the evidence of the drive is asked."""
+    return all(check.passed or (ended and check.name == EXTENT) for check in checks)

@@ -41,7 +41,8 @@ def check_evidence(
     """Return a loop that looks agree on, with only those matches that lead to where the drive as a whole fits.
 
     It is rejected if the evidence of the drive does not suffice for any place. If it suffices for a place where few
-    matches are, the loop is closed there: looks follow furniture that was moved, of which they show much.
+    matches are, the loop is closed there: looks follow furniture that was moved, of which they show much. There, and if
+    a check of the decision has failed, the evidence must also outweigh how much places of the map look alike.
 
     among  (k,) keyframes of the connected part of the map
     """
@@ -60,14 +61,16 @@ def check_evidence(
     drive, known = DriveScans().take(mapper, local_field, first), scan_keyframes(mapper, local_field, old)
     uncertainty = Uncertainty(look.uncertainty.covariance(place))
     search = partial(locate, drive, known, _expected(look, decision), uncertainty)
-    location = search()
+    similarity = SelfSimilarity(mapper, local_field, old, known).of
+    passed = tuple(check for check in decision.checks if check.passed)
+    location = search(None if passed == decision.checks else similarity)
     there = _matches_at(location.members, look, decision.matches, poses)
     elsewhere = f"{len(decision.matches) - len(there)} of {len(decision.matches)} looks"
     if len(there) >= MIN_SUPPORT and there[-1] is decision.matches[-1]:
         suffix = "" if len(there) == len(decision.matches) else f", but {elsewhere} are at another place than the drive"
-        return replace(decision, matches=there, reason=decision.reason + suffix)
+        return replace(decision, matches=there, reason=decision.reason + suffix, checks=passed)
     if location.accepted:
-        unique = search(SelfSimilarity(mapper, local_field, old, known).of)
+        unique = search(similarity)
         if (closure := _closure_elsewhere(look, mapper, unique, np.flatnonzero(old), decision)) is not None:
             return closure
     where = f"fits at another place than {elsewhere}" if location.accepted else "does not fit there"

@@ -96,6 +96,20 @@ def test_a_loop_is_not_closed_where_the_drive_fits_if_places_of_the_map_look_as_
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("similarity", [None, 200.0])
+def test_at_the_end_the_evidence_must_outweigh_the_similarity_if_the_robot_was_not_far_enough_away(
+    monkeypatch: pytest.MonkeyPatch, similarity: float | None
+) -> None:
+    """The robot ends within 10 m, and its position may be wrong by more."""
+    if similarity is not None:
+        monkeypatch.setattr(loop_evidence.SelfSimilarity, "of", lambda self, drive: similarity)
+    run = run_world("mirrored_wing", 9233)
+    assert run.needed
+    assert run.joined == (similarity is None)
+    assert not run.wrong
+
+
+@pytest.mark.slow
 def test_less_must_be_mapped_near_the_estimate() -> None:
     """A lidar that sees half a circle shows other surfaces than before, but no equal place is near."""
     run = run_world("symmetric_room", 8918, "half-circle")
