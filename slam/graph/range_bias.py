@@ -63,6 +63,42 @@ class RangeBias:
 CORNER = gtsam.Symbol(C(0)).chr()
 
 
+@immutable
+class _CostOfBias:
+    """Cost of the graph along the line on which its solution follows a change of the bias.
+
+    values    (n, 3) solution before the step
+    bias      metres
+    here      (n, 3) Gauss-Newton step with this bias
+    response  (n, 3) change of the solution per metre of bias
+    """
+
+    graph: ArrayGraph
+    values: Floats
+    bias: float
+    here: Floats
+    response: Floats
+
+    def values_at(self, change: float) -> Floats:
+        """Return the solution (n, 3) if the bias changes by `change` metres."""
+        return self.graph.retract(self.values, self.here + change * self.response)
+
+    def at(self, change: float) -> float:
+        """Return the cost without that of the bias itself."""
+        return self.graph.cost(self.values_at(change), self.bias + change)
+
+    def not_rising(self, change: float, least: float) -> float:
+        """Return the change, halved until the cost does not rise or it is less than `least` metres.
+
+        With robust kernels the cost is not convex: where it curves downwards, a parabola's vertex, whose curvature is
+        then that of the prior alone, may be far beyond the reach of the linearisation.
+        """
+        before = self.at(0.0) + (self.bias / PRIOR_SIGMA) ** 2
+        while abs(change) >= least and self.at(change) + ((self.bias + change) / PRIOR_SIGMA) ** 2 > before:
+            change *= 0.5
+        return change
+
+
 def estimate_range_bias(graph: ArrayGraph, values: Floats, start: RangeBias) -> RangeBias | None:
     """Return the estimate of the range bias, given the graph and its solution `values` (n, 3) with `start`.
 
@@ -78,13 +114,13 @@ def estimate_range_bias(graph: ArrayGraph, values: Floats, start: RangeBias) -> 
             response = (graph.step(values, bias + step) - here) / step
         except MapError:  # undetermined in this form; the incremental solver may still manage with QR
             return None
-        low, middle, high = (
-            graph.cost(graph.retract(values, here + change * response), bias + change) for change in (-step, 0.0, step)
-        )
+        costs = _CostOfBias(graph, values, bias, here, response)
+        low, middle, high = costs.at(-step), costs.at(0.0), costs.at(step)
         curvature = max((low - 2.0 * middle + high) / step**2, 0.0) + 2.0 / PRIOR_SIGMA**2
         change = -((high - low) / (2.0 * step) + 2.0 * bias / PRIOR_SIGMA**2) / curvature
         sigma = float(np.sqrt(2.0 / curvature))
-        bias, values = bias + change, graph.retract(values, here + change * response)
+        change = costs.not_rising(change, CONVERGED_SHARE * sigma)
+        bias, values = bias + change, costs.values_at(change)
         if step == BIAS_STEP and abs(change) < CONVERGED_SHARE * sigma:
             break
         step = BIAS_STEP

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,9 @@ from slam.config import Config, LidarConfig
 from slam.errors import MapError
 from slam.evaluation.benchmarks.consistency import calibrated_config, simulate, summarise
 from slam.evaluation.ground_truth import measure
+from slam.graph.array_graph import ArrayGraph
+from slam.graph.range_bias import RangeBias
+from slam.graph.range_bias import estimate_range_bias as estimate_with_graph
 from slam.odometry.history import OdometryHistory
 from slam.offline.calibration.range_bias import estimate_range_bias
 from slam.preprocessing.deskew import deskew
@@ -31,6 +36,32 @@ def test_bias_is_found_and_walls_are_as_accurate_as_they_claim(configured: float
     assert bias["metres"] == pytest.approx(0.01, abs=4 * bias["sigma"])
     assert np.nanmean(nees.walls) < 2 * 3
     assert np.nanmean(nees.corners) < 2 * 3
+
+
+class OneBias:
+    """A graph whose only unknown is the bias, with a Cauchy kernel far from its optimum: the cost curves downwards."""
+
+    depends_on_bias = True
+    optimum, scale, observations = 0.002, 5e-4, 300
+
+    def step(self, values: np.ndarray, bias: float) -> np.ndarray:
+        return np.zeros_like(values)
+
+    def retract(self, values: np.ndarray, step: np.ndarray) -> np.ndarray:
+        return values + step
+
+    def cost(self, values: np.ndarray, bias: float) -> float:
+        return self.observations * float(np.log1p(((bias - self.optimum) / self.scale) ** 2))
+
+    def by_key(self, of_variables: np.ndarray) -> dict[int, np.ndarray]:
+        return dict(enumerate(of_variables))
+
+
+def test_bias_stays_near_its_prior_where_the_cost_is_not_convex() -> None:
+    """By the curvature of the prior alone, a step would be metres long."""
+    found = estimate_with_graph(cast(ArrayGraph, OneBias()), np.zeros((1, 3)), RangeBias(-0.005, 0.001))
+    assert found is not None
+    assert abs(found.metres - OneBias.optimum) < 1e-3
 
 
 def test_map_without_walls_is_an_error() -> None:
