@@ -47,7 +47,7 @@ def spaced_rows(last, poses, distance, per_radian):  # type: ignore[no-untyped-d
     rows, count = np.empty(len(poses), np.int64), 0
     x, y, heading = last[0], last[1], last[2]
     for k in range(len(poses)):
-        turn = abs(_wrapped(poses[k, 2] - heading))
+        turn = abs(wrapped(poses[k, 2] - heading))
         if math.hypot(poses[k, 0] - x, poses[k, 1] - y) + per_radian * turn >= distance:
             x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
             rows[count] = k
@@ -62,7 +62,7 @@ def unwrapped(angles):  # type: ignore[no-untyped-def]
     for k in range(1, len(angles)):
         step = angles[k] - angles[k - 1]
         if abs(step) >= math.pi:
-            within = _wrapped(step)
+            within = wrapped(step)
             correction += (math.pi if within == -math.pi and step > 0.0 else within) - step
         result[k] = angles[k] + correction
     return result
@@ -91,16 +91,17 @@ def interpolate_each(times, poses, wanted):  # type: ignore[no-untyped-def]
 @inlined
 def _between(first, second):  # type: ignore[no-untyped-def]
     c, s = math.cos(first[2]), math.sin(first[2])
-    x, y, heading = -c * first[0] - s * first[1], s * first[0] - c * first[1], _wrapped(-first[2])
+    x, y, heading = -c * first[0] - s * first[1], s * first[0] - c * first[1], wrapped(-first[2])
     return _product(x, y, heading, second)
 
 
 @inlined
 def _product(x, y, heading, second):  # type: ignore[no-untyped-def]
     c, s = math.cos(heading), math.sin(heading)
-    return x + c * second[0] - s * second[1], y + s * second[0] + c * second[1], _wrapped(heading + second[2])
+    return x + c * second[0] - s * second[1], y + s * second[0] + c * second[1], wrapped(heading + second[2])
 
 
 @inlined
-def _wrapped(angle):  # type: ignore[no-untyped-def]
+def wrapped(angle):  # type: ignore[no-untyped-def]
+    """Return an angle (radians) wrapped to [-pi, pi)."""
     return (angle + math.pi) % (2 * math.pi) - math.pi

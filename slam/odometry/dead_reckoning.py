@@ -32,12 +32,11 @@ class DeadReckoning:
 
     def motion(self, begin: Odometry, end: Odometry) -> se2.Pose:
         """Return the motion [x, y, heading] of the base from one reading to a later one."""
-        return _end(self._path(begin, end))
+        return self.model.motion_along(self.history.path(begin, end))
 
     def motion_and_covariance(self, begin: Odometry, end: Odometry) -> tuple[se2.Pose, Floats]:
         """Return the motion from one reading to a later one, and its covariance (3, 3), in its end frame."""
-        path = self._path(begin, end)
-        return _end(path), self.model.path_covariance(path)
+        return self.model.motion_and_covariance(self.history.path(begin, end))
 
     def motions(self, stamps: Floats, poses: Floats) -> Floats:
         """Return the motions (n - 1, 3) of the base from each of n readings to the next one.
@@ -53,16 +52,7 @@ class DeadReckoning:
         motions, covariances = [motion for motion, _ in found], [covariance for _, covariance in found]
         return np.array(motions).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3)
 
-    def _path(self, begin: Odometry, end: Odometry) -> Floats:
-        return self.model.correct_path(self.history.path(begin, end))
-
 
 def _pairs(stamps: Floats, poses: Floats) -> Iterator[tuple[Odometry, Odometry]]:
     """Return the pairs of neighbouring readings with stamps (n,) and poses (n, 3)."""
     return pairwise(Odometry(stamp, pose) for stamp, pose in zip(stamps.tolist(), poses, strict=True))
-
-
-def _end(path: Floats) -> se2.Pose:
-    """Return the last pose of a path."""
-    x, y, heading = path[-1].tolist()
-    return np.array((x, y, float(se2.wrap(heading))))

@@ -14,7 +14,7 @@ from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import CORRIDOR_LENGTH
 from .history import MIN_MOTION_TRAVEL, wheel_travel
-from .path_errors import path_covariance
+from .path_errors import motion_along, motion_and_covariance, path_covariance
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
 from .systematic_errors import PERFECT, SystematicErrors
 
@@ -143,9 +143,19 @@ class OdometryModel:
         """Return measured motions (..., 3) as motions of the base, without their systematic errors."""
         return self._systematic.correct(motion)
 
-    def correct_path(self, poses: Floats) -> Floats:
-        """Return the poses (n, 3) of a path without systematic errors, see `SystematicErrors.correct_path`."""
-        return self._systematic.correct_path(poses)
+    def motion_along(self, poses: Floats) -> se2.Pose:
+        """Return the motion [x, y, heading] of the base along a path of measured poses (n, 3)."""
+        errors = self._systematic
+        return np.asarray(motion_along(poses, errors.length, errors.turning, errors.veer, errors.frame))
+
+    def motion_and_covariance(self, poses: Floats) -> tuple[se2.Pose, Floats]:
+        """Return the motion along a path of measured poses (n, 3), and its covariance (3, 3), in its end frame."""
+        errors = self._systematic
+        motion, covariance = motion_and_covariance(
+            poses, errors.length, errors.turning, errors.veer, errors.frame,
+            self._rates, self._floors, errors.variances, CORRELATION_LENGTH,
+        )  # fmt: skip
+        return motion, covariance
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""
@@ -161,11 +171,7 @@ class OdometryModel:
 
     def covariance(self, motion: se2.Pose) -> Floats:
         """Return (3, 3) the covariance of a corrected motion [x, y, heading] between two readings, in its end frame."""
-        return self.path_covariance(np.stack([np.zeros(3), motion]))
-
-    def path_covariance(self, path: Floats) -> Floats:
-        """Return (3, 3) the covariance of the end of a corrected path (n, 3), in its frame, relative to the begin."""
-        errors, length = self._systematic, CORRELATION_LENGTH
+        path, errors, length = np.stack([np.zeros(3), motion]), self._systematic, CORRELATION_LENGTH
         return np.asarray(path_covariance(path, self._rates, self._floors, errors.variances, errors.turning, length))
 
     def limit_information(self, information: Floats, travel: float) -> Floats:

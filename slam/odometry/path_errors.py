@@ -13,6 +13,7 @@ import numpy as np
 from drivers.compiled import compiled, inlined
 
 from ..geometry.angles import wrap_angle
+from ..geometry.pose_arrays import wrapped
 from .history import QUARTER_TURN, TRAVEL_PER_RADIAN
 
 
@@ -24,6 +25,29 @@ def corrected_motions(motions, length, turning, veer, frame):  # type: ignore[no
         x, y, turn = _corrected(motions[k, 0], motions[k, 1], motions[k, 2], length, turning, veer, frame)
         corrected[k, 0], corrected[k, 1], corrected[k, 2] = x, y, wrap_angle(turn)
     return corrected
+
+
+@compiled
+def motion_along(poses, length, turning, veer, frame):  # type: ignore[no-untyped-def]
+    """Return (3,) the motion along a path of measured poses (n, 3) without systematic errors."""
+    return _end(corrected_path(poses, length, turning, veer, frame))
+
+
+@compiled
+def motion_and_covariance(  # type: ignore[no-untyped-def]
+    poses, length, turning, veer, frame, rates, floors, systematic, correlation_length
+):
+    """Return the motion along a path, see `motion_along`, and its covariance, see `path_covariance`."""
+    path = corrected_path(poses, length, turning, veer, frame)
+    return _end(path), path_covariance(path, rates, floors, systematic, turning, correlation_length)
+
+
+@compiled
+def _end(path):  # type: ignore[no-untyped-def]
+    """Return a copy (3,) of the last pose of a path (n, 3), with a heading from -pi to pi."""
+    end = path[-1].copy()
+    end[2] = wrapped(end[2])
+    return end
 
 
 @compiled

@@ -25,7 +25,7 @@ from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.segments import Floats
 from .heading_errors import heading_errors, is_turn
 from .history import MIN_MOTION_TRAVEL
-from .path_errors import corrected_motions, corrected_path
+from .path_errors import corrected_motions
 
 # Motions that the values before any driving count for. Origin: chosen, so few that the first metres of driving correct
 # a wrong value; not measured.
@@ -83,13 +83,6 @@ class SystematicErrors:
         rows = np.ascontiguousarray(motion).reshape(-1, 3)
         corrected = corrected_motions(rows, self.length, self.turning, self.veer, self.frame)
         return np.asarray(corrected).reshape(motion.shape)
-
-    def correct_path(self, poses: Floats) -> Floats:
-        """Return the poses (n, 3) of a path without systematic errors, relative to the first, with unwrapped headings.
-
-        The errors are corrected from pose to pose.
-        """
-        return np.asarray(corrected_path(poses, self.length, self.turning, self.veer, self.frame))
 
 
 @compiled
