@@ -49,8 +49,6 @@ class ScanMatch:
     points        best match of its points
     others        matches of its points near the other predictions, those with the lowest cost first
     registration  of its features with the landmarks, from the best match on
-    fit           0 to 1, of all points at the registered pose: points and landmarks must agree on a place
-    known         number of points in space that was seen before
     explained     0 to 1, share of all points that lie on known surfaces, or on objects that may have moved
     evidence      (nats) of this scan and of earlier ones against the first prediction; zero if that holds
     """
@@ -58,10 +56,18 @@ class ScanMatch:
     points: PointMatch
     others: Sequence[PointMatch]
     registration: Registration
-    fit: float
-    known: int
     explained: float
     evidence: float
+
+    @property
+    def fit(self) -> float:
+        """Fit of all points at the registered pose, 0 to 1."""
+        return self.registration.fit
+
+    @property
+    def known(self) -> int:
+        """Number of points in space that was seen before."""
+        return self.registration.known
 
     @property
     def score(self) -> float:
@@ -134,9 +140,8 @@ class MatchTarget:
             match.pose, prediction.pose, prediction.information,
             scan, points, self.landmarks, self.field, self.roughness,
         )  # fmt: skip
-        _, fit, known = point_cost(self.field, points, registration.pose)
-        explained = fit * known / max(1, len(points))
-        return ScanMatch(match, others, registration, fit, known, explained, evidence)
+        explained = registration.fit * registration.known / max(1, len(points))
+        return ScanMatch(match, others, registration, explained, evidence)
 
     def excludes(self, prediction: Prediction, points: Floats, pose: se2.Pose) -> bool:
         """Return True if points (p, 6) that fit at a pose contradict a prediction, which may lead to another one."""

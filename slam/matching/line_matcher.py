@@ -23,8 +23,9 @@ from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information
 from .landmark_equations import CornerArrays, SegmentArrays, WallArrays, add_corners, add_walls
 from .offset_tiles import MAX_DISTANCE, MAX_TURN
+from .point_costs import points_cost
 from .scan_features import ScanFeatures
-from .scan_points import COLUMNS, FINE_SIGMA, segments_of
+from .scan_points import COLUMNS, FINE_SIGMA, lines_of
 
 # Metres across a wall between it and a segment, for each Gauss-Newton step; also between two
 # corners. Origin: tuned on Intel, fr079, CSAIL.
@@ -46,6 +47,8 @@ class Registration:
                        wall; it is `pose` in directions that they do not determine
     point_information  (3, 3) of `point_pose`, in the base's frame
     overlap_ratio      share of the scan's wall length that lies on known walls, 0 to 1
+    fit                0 to 1, of all points at `pose`: points and landmarks must agree on a place; see `PointMatch`
+    known              number of points in space that was seen before
     """
 
     pose: se2.Pose
@@ -53,6 +56,8 @@ class Registration:
     point_pose: se2.Pose
     point_information: Floats
     overlap_ratio: float
+    fit: float
+    known: int
 
     @property
     def total_information(self) -> Floats:
@@ -87,19 +92,20 @@ def register(
     segments, corners = scan.segments, scan.corners
     total = segments.total_length
     # Plain tuples: numba unpacks them faster than named ones.
-    pose, information, point_information, point_pose, matched = _register(
+    pose, information, point_information, point_pose, matched, fit, known = _register(
         start,
         prediction,
         prior,
         (segments.frame, segments.half_length, segments.covariance),
         (corners.position, corners.headings, corners.covariance),
-        (points, segments_of(points, segments)),
-        (local_map.frame, axes_of(local_map.frame), local_map.low, local_map.high, local_map.wall_covariance),
+        points,
+        (local_map.frame, local_map.low, local_map.high, local_map.wall_covariance),
         (local_map.position, local_map.headings, local_map.corner_covariance),
         field.arrays,
         tuple(roughness),
     )  # fmt: skip
-    return Registration(pose, information, point_pose, point_information, matched / total if total else 0.0)
+    overlap_ratio = matched / total if total else 0.0
+    return Registration(pose, information, point_pose, point_information, overlap_ratio, fit, known)
 
 
 @compiled
@@ -108,18 +114,20 @@ def _register(  # type: ignore[no-untyped-def]
 ):
     """Run Gauss-Newton; return the fields of `Registration`, the length on known walls instead of the ratio."""
     scan_segments, scan_corners = SegmentArrays(*segments), CornerArrays(*corners)
-    map_walls, known_corners = WallArrays(*walls), CornerArrays(*map_corners)
-    all_points, segment_of = points
+    frames, low, high, wall_covariance = walls
+    map_walls = WallArrays(frames, axes_of(frames), low, high, wall_covariance)
+    known_corners = CornerArrays(*map_corners)
+    segment_of = lines_of(points, scan_segments.frame, scan_segments.half_length)
     information, point_information = np.zeros((3, 3)), np.zeros((3, 3))
     gradient, point_gradient, found = np.zeros(3), np.zeros(3), 0
     pose, point_pose, overlaps = start.copy(), start.copy(), np.zeros(len(scan_segments.frame))
-    kept, memory, total = np.empty_like(all_points), memory_for(len(all_points)), np.empty((3, 3))
+    kept, memory, total = np.empty_like(points), memory_for(len(points)), np.empty((3, 3))
     for step in range(len(MATCH_OFFSET_GATES)):
         offset_gate, heading_gate = MATCH_OFFSET_GATES[step], MATCH_HEADING_GATES[step]
         information[:], gradient[:] = 0.0, 0.0
         add_walls(pose, scan_segments, map_walls, roughness, offset_gate, heading_gate, overlaps, information, gradient)
         add_corners(pose, scan_corners, known_corners, roughness, offset_gate, information, gradient)
-        others = kept[: _keep_unmatched(all_points, segment_of, overlaps, kept)]
+        others = kept[: _keep_unmatched(points, segment_of, overlaps, kept)]
         found = add_points(pose, others, field, FINE_SIGMA, point_information, point_gradient, memory)
         pull = product(prior, difference(prediction, pose))
         for k in range(3):
@@ -133,7 +141,8 @@ def _register(  # type: ignore[no-untyped-def]
     move_back(point_pose, solution(point_information + LINEAR_RANGE_INFORMATION, point_gradient))
     wrap_heading(pose)
     wrap_heading(point_pose)
-    return pose, information, unbiased, point_pose, overlaps.sum()
+    _, fit, known = points_cost(field, points, pose)
+    return pose, information, unbiased, point_pose, overlaps.sum(), fit, known
 
 
 @inlined

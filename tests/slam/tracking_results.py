@@ -30,7 +30,7 @@ def tracking_result(
     return TrackingResult(
         pose,
         covariance,
-        registration or Registration(pose, information, pose, np.zeros((3, 3)), 1.0),
+        registration or Registration(pose, information, pose, np.zeros((3, 3)), 1.0, 1.0, 0),
         covariance,
         predicted or Prediction(pose, np.eye(3)),
         status,

@@ -22,6 +22,6 @@ def test_the_pose_by_the_scan_alone_does_not_depend_on_the_prediction(
     predicted = Prediction(se2.compose(by_scan, np.array(error)), prior)
     # What registration returns: the mean of both poses, weighted by their information.
     share = np.linalg.solve(scan + prior, prior)
-    registration = Registration(se2.compose(by_scan, share @ error), scan, by_scan, np.zeros((3, 3)), 1.0)
+    registration = Registration(se2.compose(by_scan, share @ error), scan, by_scan, np.zeros((3, 3)), 1.0, 1.0, 0)
     result = tracking_result(pose=by_scan, information=scan, registration=registration, predicted=predicted)
     assert np.abs(se2.between(by_scan, result.scan_pose)).max() < 0.1 * np.abs(share @ error).max() + 1e-6
