@@ -235,9 +235,8 @@ class SlamState:
 
     def spacings(self, start: se2.Pose, end: se2.Pose) -> float:
         """Return how far apart two poses are, as a multiple of the configured distance or turn between keyframes."""
-        motion, mapping = se2.between(start, end), self.config.mapping
-        distance, turn = np.hypot(motion[0], motion[1]), abs(motion[2])
-        return float(max(distance / mapping.keyframe_distance, turn / mapping.keyframe_turn))
+        (x, y, turn), mapping = se2.between(start, end).tolist(), self.config.mapping
+        return float(max(abs(complex(x, y)) / mapping.keyframe_distance, abs(turn) / mapping.keyframe_turn))
 
     @property
     def at_part_begin(self) -> bool:

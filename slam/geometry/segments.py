@@ -48,7 +48,8 @@ class Segments:
 
     def reach(self) -> float:
         """Return an upper bound of the distance from the base to any point of a segment, metres; 0 without one."""
-        return float(np.max(np.hypot(self.frame[:, 0], self.frame[:, 1]) + self.half_length, initial=0.0))
+        ends = zip(self.frame.tolist(), self.half_length.tolist(), strict=True)  # C's hypot, as NumPy's
+        return float(max((abs(complex(x, y)) + half for (x, y, _), half in ends), default=0.0))
 
 
 @immutable
