@@ -72,11 +72,12 @@ def heading_errors(samples, expected, sigmas, walk, prior_samples):  # type: ign
 
 @compiled
 def _sums(samples, least):  # type: ignore[no-untyped-def]
-    """Return the sums (m, 4) of motions over some metres of travel each, `least` at least.
+    """Return the sums (m, 5) of motions over some metres of travel each, `least` at least.
 
     They are the difference of the turns, the measured turns of motions that are turns, the way ahead, and the travel.
+    The last column is the root of the travel.
     """
-    sums, count = np.zeros((len(samples), 4)), 0
+    sums, count = np.zeros((len(samples), 5)), 0
     for k in range(len(samples)):
         ahead, turn = samples[k, 0], samples[k, 2]
         sums[count, 0] += wrap_angle(samples[k, 5] - turn)
@@ -84,6 +85,7 @@ def _sums(samples, least):  # type: ignore[no-untyped-def]
         sums[count, 2] += ahead
         sums[count, 3] += math.hypot(ahead, samples[k, 1]) + TRAVEL_PER_RADIAN * abs(turn)
         if sums[count, 3] >= least or k == len(samples) - 1:
+            sums[count, 4] = math.sqrt(sums[count, 3])
             count += 1
     return sums[:count]
 
@@ -91,7 +93,7 @@ def _sums(samples, least):  # type: ignore[no-untyped-def]
 @compiled
 def _errors(sums, share, veer):  # type: ignore[no-untyped-def]
     """Return the errors (m,) of the heading, relative to a random walk with the variance 1 rad^2 / m."""
-    return (sums[:, 0] - share * sums[:, 1] - veer * sums[:, 2]) / np.sqrt(sums[:, 3])
+    return (sums[:, 0] - share * sums[:, 1] - veer * sums[:, 2]) / sums[:, 4]
 
 
 @compiled
