@@ -30,6 +30,10 @@ def test_objects_are_equal_only_to_themselves_and_can_be_replaced_copied_and_sto
     assert len(set(same)) == 5
 
 
+def test_objects_are_represented_as_those_of_data_classes_are() -> None:
+    assert repr(Pair(1, [2])) == "Pair(first=1, second=[2])"
+
+
 def test_objects_have_no_other_attributes() -> None:
     with pytest.raises(AttributeError):
         Pair(1).third = 3  # type: ignore[attr-defined]
