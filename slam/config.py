@@ -38,7 +38,7 @@ MountHeading = Annotated[float, Field(allow_inf_nan=False, ge=-MAX_TURN, le=MAX_
 class Settings(BaseModel):
     """Group of settings; none is unknown, and true and false are no numbers."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
     @field_validator("*", mode="before")
     @classmethod

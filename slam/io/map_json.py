@@ -51,7 +51,7 @@ Matrix = tuple[tuple[Finite, Finite], tuple[Finite, Finite]]
 class _Record(BaseModel):
     """Part of the file. Values are checked when it is read, and not when it is written: no map may be lost by that."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 class _Line(_Record):

@@ -49,7 +49,7 @@ class Record(BaseModel):
     an unusual value must not cost the results of a drive.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 Kind = TypeVar("Kind", bound=Record)
