@@ -267,10 +267,11 @@ class Tracker:
         # The poses of the last scans agree with each other, and nothing suggests that the robot was carried.
         agree_for_long = scans >= MAX_UNTRACKED_SCANS and not self._views.changed and not after_gap
         ambiguous = confirms_slip and evidence.is_ambiguous and not agree_for_long
-        # A poor fit shows no slip. Nor does it place a robot after a gap in which nothing has measured the motion:
-        # odometry is missing or failing, or the robot may have been carried.
-        poor = match.poor and (confirms_slip or (after_gap and not self._predictor.measured_in_gap))
-        if seems_slipped or ambiguous or poor:
+        # A poor fit shows no slip. Nor does it place a robot after a gap in which nothing has measured the motion, or a
+        # scan of what was hardly seen before: odometry is missing or failing, or the robot may have been carried.
+        places_nothing = match.poor or match.known < MIN_KNOWN_POINTS
+        unplaced = places_nothing and after_gap and not self._predictor.measured_in_gap
+        if seems_slipped or ambiguous or unplaced or (match.poor and confirms_slip):
             return TrackingStatus.TENTATIVE, False
         return TrackingStatus.TRACKED, confirms_slip or evidence.contradicts_odometry
 

@@ -320,6 +320,18 @@ def test_poor_fits_after_a_gap_in_scans_and_odometry_place_no_robot(silence: flo
     assert tracker.lost is lost
 
 
+@pytest.mark.parametrize(("silence", "lost"), [(1.0, False), (8.0, True)])
+def test_scans_of_an_unseen_place_after_a_gap_in_scans_and_odometry_place_no_robot(silence: float, lost: bool) -> None:
+    """It was put elsewhere in the room, and a pose outside of it, where nothing contradicts a scan, was taken."""
+    begin, driven = np.array([1.55, 1.5, 0.0]), (30.0, 0.0, 0.0)
+    stamps = np.concatenate([np.arange(0.0, 2.0, 0.1), np.arange(2.0 + silence, 12.0, 0.1)])
+    poses = np.where(stamps[:, None] < 2.0, begin, se2.compose(begin, np.array(driven)))
+    history = OdometryHistory.from_arrays(stamps, poses)
+    tracker, results = results_after_gap(10.0, 4, ROOM, driven, history=history)
+    assert not any(result.known for result in results)
+    assert tracker.lost is lost
+
+
 @pytest.mark.parametrize(("gap", "lost"), [(0.4, False), (10.0, True)])
 def test_without_odometry_poor_fits_after_a_long_gap_place_no_robot(gap: float, lost: bool) -> None:
     """Nothing predicts where it is, and most scans fit somewhere."""
