@@ -46,11 +46,15 @@ class LeaveOutMap:
 
     def add(self, points: Floats, pose: se2.Pose) -> None:
         """Add a scan of `points` (p, 6) with normals, in the frame of the base at `pose`, metres."""
-        _count(self._hits, self._passed, self.in_cells(points), self.moved(pose), MAX_RANGE / self.cell, 1)
+        self._count(points, pose, 1)
 
     def leave_out(self, points: Floats, pose: se2.Pose) -> None:
         """Take a scan off that was added with the same points and pose."""
-        _count(self._hits, self._passed, self.in_cells(points), self.moved(pose), MAX_RANGE / self.cell, -1)
+        self._count(points, pose, -1)
+
+    def _count(self, points: Floats, pose: se2.Pose, step: int) -> None:
+        reach, margin = MAX_RANGE / self.cell, MIN_DEPTH / self.cell
+        _count(self._hits, self._passed, self.in_cells(points), self.moved(pose), reach, margin, step)
 
     def around(self, position: Floats, half_width: float) -> Surroundings:
         """Return the cells up to `half_width` metres from a `position` (2,) along each axis; valid until a change."""
@@ -96,7 +100,7 @@ class Surroundings:
 
 
 @compiled
-def _count(hits, passed, points, pose, reach, step):  # type: ignore[no-untyped-def]
+def _count(hits, passed, points, pose, reach, margin, step):  # type: ignore[no-untyped-def]
     """Add `step` to the cells in which the beams of a scan end, and to those that they pass; lengths are in cells."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for p in range(len(points)):
@@ -110,7 +114,7 @@ def _count(hits, passed, points, pose, reach, step):  # type: ignore[no-untyped-
                 for facing in range(ALL_POINTS):
                     if _along(facing, nx, ny) > MIN_FACING or (nx == 0.0 and ny == 0.0):
                         hits[facing, row, column] += step
-        followed = min(length - MIN_DEPTH / CELL, reach)
+        followed = min(length - margin, reach)
         count = max(abs(dx), abs(dy))  # one cell after the other along the longer axis
         for k in range(int(count * followed / max(length, 1e-9))):
             row, column = math.floor(pose[0] + k * dx / count), math.floor(pose[1] + k * dy / count)
