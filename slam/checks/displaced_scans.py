@@ -1,4 +1,4 @@
-"""Compare each scan with the map of the others: some in a row that fit it better elsewhere are displaced.
+"""Compare each scan with the map of the others: scans in a row that fit it better elsewhere are displaced.
 
 Scans that were taken shortly before or after are left out of the map, as they may be displaced together. So the others
 must show the place, from elsewhere or on another pass; what they have not seen says nothing.
@@ -14,22 +14,19 @@ import numpy as np
 from drivers import se2
 from drivers.immutable import immutable
 
-from ..formatting import counted
-from ..geometry.segments import Floats, Segments
+from ..geometry.segments import Floats
 from ..matching.point_matcher import POINT_SPACING
 from ..matching.scan_points import surface_points
+from ..preprocessing.preprocessor import NO_FEATURES
 from .distance_rings import compared_points
 from .drive import MIN_POINTS, Drive
 from .leave_out_map import LeaveOutMap, Surroundings
 from .passes import MAX_RANGE, MIN_SCANS
 from .pose_search import search_pose
 from .row_groups import MAX_GAP, consecutive_groups
-from .step_checks import MIN_DISPLACEMENT
+from .step_checks import MIN_DISPLACEMENT, as_text, displacement
 from .steps import FALSE_ALARM_PROBABILITY, FIELD_SCANS, FIT_WEIGHT, MAX_SEARCH
 from .suspect import MAP, Suspect
-
-# Normals of points are found from their neighbours alone. Origin: definition.
-NO_SEGMENTS = Segments(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 2, 2)))
 
 
 @immutable
@@ -50,17 +47,16 @@ class Refits:
 
 
 def displaced_scans(drive: Drive) -> Iterator[Suspect]:
-    """Yield the intervals of a sampled drive in which the scans would better be elsewhere, by the map of the others."""
+    """Yield the intervals of a sampled drive in which the scans fit the map of the others better elsewhere."""
     found = refit_scans(drive)
     suspicious = np.flatnonzero((found.gain > found.threshold) & (found.displacement > MIN_DISPLACEMENT))
     for group in consecutive_groups(suspicious, MAX_GAP):
         if len(group) < MIN_SCANS:
             continue
         worst = int(group[np.argmax(found.gain[group])])
-        x, y, turn = found.motion[worst].tolist()
         text = (
             f"the map does not fit together: {len(group)} scans fit the map of the others better elsewhere, this one "
-            f"{math.hypot(x, y):.2f} m and {counted(round(abs(math.degrees(turn))), 'degree')} from where it was placed"
+            f"{as_text(found.motion[worst])} from where it was placed"
         )
         first, last = float(drive.stamps[group[0]]), float(drive.stamps[group[-1]])
         weight = float(found.gain[worst]) / found.threshold
@@ -89,9 +85,9 @@ def refit_scans(drive: Drive) -> Refits:
 
 
 def _points(points: Floats) -> Floats:
-    """Return the points (q, 6) of a scan that are compared, with normals."""
+    """Return the points (q, 6) of a scan that are compared, with normals from their neighbours alone."""
     near = points[np.hypot(points[:, 0], points[:, 1]) <= MAX_RANGE]
-    return compared_points(surface_points(near, NO_SEGMENTS, POINT_SPACING))
+    return compared_points(surface_points(near, NO_FEATURES.segments, POINT_SPACING))
 
 
 def _refit(found: Refits, row: int, around: Surroundings, points: Floats, pose: se2.Pose) -> None:
@@ -103,5 +99,4 @@ def _refit(found: Refits, row: int, around: Surroundings, points: Floats, pose: 
     gains = around.likelihoods(points, there) - here  # now also with points behind what is at rest
     found.gain[row] = FIT_WEIGHT * np.nansum(gains) / len(points)
     found.motion[row] = se2.between(pose, there)
-    moved = se2.transform(pose, points[:, :2]) - se2.transform(there, points[:, :2])
-    found.displacement[row] = math.sqrt(float((moved**2).sum(axis=1).mean()))
+    found.displacement[row] = displacement(points[:, :2], pose, there)

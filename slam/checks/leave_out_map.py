@@ -18,7 +18,7 @@ from drivers.compiled import compiled, inlined
 
 from ..geometry.segments import Floats, Integers
 from ..mapping.sight_lines import MIN_DEPTH
-from ..matching.distance_field import ALL_POINTS, MIN_FACING
+from ..matching.distance_field import ALL_POINTS, belongs_to, facing_grid
 from .distance_rings import CELL, RING_LIKELIHOODS, RINGS
 from .passes import MAX_RANGE
 
@@ -109,10 +109,9 @@ def _count(hits, passed, points, pose, reach, margin, step):  # type: ignore[no-
         if length <= reach:
             row, column = math.floor(pose[0] + dx), math.floor(pose[1] + dy)
             if 0 <= row < hits.shape[1] and 0 <= column < hits.shape[2]:
-                hits[ALL_POINTS, row, column] += step
                 nx, ny = c * points[p, 2] - s * points[p, 3], s * points[p, 2] + c * points[p, 3]
-                for facing in range(ALL_POINTS):
-                    if _along(facing, nx, ny) > MIN_FACING or (nx == 0.0 and ny == 0.0):
+                for facing in range(ALL_POINTS + 1):
+                    if belongs_to(facing, nx, ny):
                         hits[facing, row, column] += step
         followed = min(length - margin, reach)
         count = max(abs(dx), abs(dy))  # one cell after the other along the longer axis
@@ -120,21 +119,6 @@ def _count(hits, passed, points, pose, reach, margin, step):  # type: ignore[no-
             row, column = math.floor(pose[0] + k * dx / count), math.floor(pose[1] + k * dy / count)
             if 0 <= row < hits.shape[1] and 0 <= column < hits.shape[2]:
                 passed[row, column] += step
-
-
-@inlined
-def _along(facing, nx, ny):  # type: ignore[no-untyped-def]
-    """Return the component of a normal along one of the four directions x, y, -x and -y."""
-    component = nx if facing % 2 == 0 else ny
-    return component if facing < 2 else -component
-
-
-@inlined
-def _facing(nx, ny):  # type: ignore[no-untyped-def]
-    """Return the direction that a surface faces, or ALL_POINTS without a normal."""
-    if abs(nx) >= abs(ny):
-        return ALL_POINTS if nx == 0.0 else 0 if nx > 0.0 else 2
-    return 1 if ny > 0.0 else 3
 
 
 @inlined
@@ -184,7 +168,7 @@ def _likelihood(arrays, points, p, pose, c, s):  # type: ignore[no-untyped-def]
     """Return the likelihood of point p at a pose with the cosine c and the sine s of its heading."""
     x, y = pose[0] + c * points[p, 0] - s * points[p, 1], pose[1] + s * points[p, 0] + c * points[p, 1]
     nx, ny = c * points[p, 2] - s * points[p, 3], s * points[p, 2] + c * points[p, 3]
-    return LIKELIHOODS[_class_at(arrays, _facing(nx, ny), x, y)]
+    return LIKELIHOODS[_class_at(arrays, facing_grid(nx, ny), x, y)]
 
 
 @inlined

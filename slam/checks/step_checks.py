@@ -45,7 +45,7 @@ def _misplacements(drive: Drive, steps: Steps) -> Floats:
     """Return (n - 1,) the metres (RMS) by which the scan of each step is misplaced, zero if it is not."""
     metres = np.zeros(len(steps.gain))
     for k in np.flatnonzero(steps.gain > steps.threshold).tolist():
-        metres[k] = _displacement(drive, k + 1, steps.alternative[k])
+        metres[k] = displacement(drive.points[k + 1], drive.poses[k + 1], steps.alternative[k])
     return np.where(metres > MIN_DISPLACEMENT, metres, 0.0)
 
 
@@ -65,28 +65,27 @@ def changed_views(drive: Drive) -> Iterator[Suspect]:
         yield _suspect(drive, PLACEMENT, group, int(found[worst]), weight, text)
 
 
-def _displacement(drive: Drive, row: int, pose: se2.Pose) -> float:
-    """Return the metres (RMS) by which a scan's points move if the scan is placed at `pose`."""
-    points = drive.points[row]
-    moved = se2.transform(drive.poses[row], points) - se2.transform(pose, points)
+def displacement(points: Floats, pose: se2.Pose, other: se2.Pose) -> float:
+    """Return the metres (RMS) by which a scan's points (p, 2) move if it is placed at the `other` pose."""
+    moved = se2.transform(pose, points) - se2.transform(other, points)
     return float(np.sqrt((moved**2).sum(axis=1).mean()))
 
 
 def _text(drive: Drive, steps: Steps, k: int) -> str:
     better = steps.fit[k] + steps.fit_gain[k] / FIT_WEIGHT
     if steps.fit_gain[k] >= 0.5 * steps.gain[k]:
-        away = _motion(se2.between(steps.alternative[k], drive.poses[k + 1]))
+        away = as_text(se2.between(steps.alternative[k], drive.poses[k + 1]))
         fits = f"fit {better:.2f} there, {steps.fit[k]:.2f} where it was placed"
         return f"the scan fits the scans before it better {away} from where it was placed ({fits})"
     sigmas = math.sqrt(steps.distance[k])
     if math.isnan(steps.fit[k]):
         return (
-            f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma), over a motion of which "
+            f"the path departs from odometry by {as_text(steps.error[k])} ({sigmas:.0f} sigma), over a motion of which "
             "no scan shows anything: a wrong pose, wheels that slipped, or the robot was carried"
         )
     fits = f"fit {better:.2f} at odometry's pose, {steps.fit[k]:.2f} where it was placed"
     return (
-        f"the path departs from odometry by {_motion(steps.error[k])} ({sigmas:.0f} sigma), which the scan does not "
+        f"the path departs from odometry by {as_text(steps.error[k])} ({sigmas:.0f} sigma), which the scan does not "
         f"require ({fits}): a wrong pose, or the robot was carried"
     )
 
@@ -108,12 +107,13 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
         measured = se2.between(drive.odometry[before], drive.odometry[after])
         wrong = se2.between(measured, driven)
         lasting = wheel_travel(wrong) > GROSS_SHARE * max(wheel_travel(driven), wheel_travel(measured))
-        slip = _displacement(drive, after, se2.compose(drive.poses[before], measured)) - misplaced[before:after].sum()
+        by_odometry = se2.compose(drive.poses[before], measured)
+        slip = displacement(drive.points[after], drive.poses[after], by_odometry) - misplaced[before:after].sum()
         if evidence > steps.threshold and lasting and slip > MIN_SLIP:
             worst = int(group[np.argmax(steps.slip[group])])
             text = (
-                f"odometry contradicts the scans by {_motion(wrong)}: it measured a motion of {_motion(measured)}, the "
-                f"scans show {_motion(driven)}{_direction(measured, driven)}; the wheels slipped or stood still, or "
+                f"odometry contradicts the scans by {as_text(wrong)}: it measured a motion of {as_text(measured)}, the "
+                f"scans show {as_text(driven)}{_direction(measured, driven)}; the wheels slipped or stood still, or "
                 "the robot was carried"
             )
             yield _suspect(drive, ODOMETRY, group, worst, evidence / steps.threshold, text)
@@ -137,7 +137,7 @@ def _suspect(drive: Drive, check: str, steps: Integers, worst: int, weight: floa
     return Suspect(check, stamp, first, last, position, float(weight), text)
 
 
-def _motion(motion: se2.Pose) -> str:
+def as_text(motion: se2.Pose) -> str:
     """Return length and turn of a motion as text."""
     return f"{math.hypot(motion[0], motion[1]):.2f} m and {counted(round(abs(math.degrees(motion[2]))), 'degree')}"
 

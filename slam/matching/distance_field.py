@@ -188,7 +188,7 @@ def _insert(field, waiting, scans, count, poses, points, kinds, first, begin):  
                 continue
             normal_x, normal_y = c * points[k, 2] - s * points[k, 3], s * points[k, 2] + c * points[k, 3]
             for grid in range(ALL_POINTS + 1):
-                if _belongs_to(grid, normal_x, normal_y) and not _is_known(tile_of, tiles, grid, x, y):
+                if belongs_to(grid, normal_x, normal_y) and not _is_known(tile_of, tiles, grid, x, y):
                     count = enter_point(tile_of, tiles, count, grid, x, y)
         for k in range(first[j], first[j + 1]):
             x = start_x + (c * points[k, 0] - s * points[k, 1]) / FIELD_CELL
@@ -225,7 +225,7 @@ def _surroundings_are_inside(x, y, seen):  # type: ignore[no-untyped-def]
 
 
 @inlined
-def _belongs_to(grid, normal_x, normal_y):  # type: ignore[no-untyped-def]
+def belongs_to(grid, normal_x, normal_y):  # type: ignore[no-untyped-def]
     """Return True if a point with a normal, zero if unknown, belongs to a grid."""
     along = normal_x if grid % 2 == 0 else normal_y
     unknown = normal_x == 0.0 and normal_y == 0.0

@@ -63,14 +63,15 @@ def check_evidence(
     search = partial(locate, drive, known, _expected(look, decision), uncertainty)
     similarity = SelfSimilarity(mapper, local_field, old, known).of
     passed = tuple(check for check in decision.checks if check.passed)
-    location = search(None if passed == decision.checks else similarity)
+    has_passed = passed == decision.checks
+    location = search(None if has_passed else similarity)
     there = _matches_at(location.members, look, decision.matches, poses)
     elsewhere = f"{len(decision.matches) - len(there)} of {len(decision.matches)} looks"
     if len(there) >= MIN_SUPPORT and there[-1] is decision.matches[-1]:
         suffix = "" if len(there) == len(decision.matches) else f", but {elsewhere} are at another place than the drive"
         return replace(decision, matches=there, reason=decision.reason + suffix, checks=passed)
     if location.accepted:
-        unique = search(similarity)
+        unique = search(similarity) if has_passed else location
         if (closure := _closure_elsewhere(look, mapper, unique, np.flatnonzero(old), decision)) is not None:
             return closure
     where = f"fits at another place than {elsewhere}" if location.accepted else "does not fit there"
