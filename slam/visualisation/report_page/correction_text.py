@@ -6,6 +6,11 @@ import math
 from typing import Any
 
 from ...formatting import counted, length, percent
+from ...geometry.chi_square import chi_square_quantile
+from ...geometry.significance import GATE
+
+LOOP_DOF, TIE_DOF = 3, 2
+"""Degrees of freedom by which the map before contradicts a closed loop, or that two walls are one."""
 
 
 def outcome_lines(outcome: dict[str, Any]) -> list[str]:
@@ -22,15 +27,23 @@ def outcome_lines(outcome: dict[str, Any]) -> list[str]:
             return lines
         return [
             f"{moved} to the place of keyframe {outcome['old']}: {outcome['deviations']:.1f} standard deviations; "
-            f"{percent(outcome['fit'])} of the points fit, {counted(outcome['merged'], 'wall')} merged"
+            f"{percent(outcome['fit'])} of the points fit, {counted(outcome['merged'], 'wall')} merged",
+            *_doubt(outcome["deviations"], LOOP_DOF, "two places that look alike fit as well"),
         ]
     if "offset" in outcome:
         turn = math.degrees(outcome["turn"])
         return [
             f"they were {length(abs(outcome['offset']))} and {abs(turn):.2f}° apart: "
-            f"{outcome['deviations']:.1f} standard deviations"
+            f"{outcome['deviations']:.1f} standard deviations",
+            *_doubt(outcome["deviations"], TIE_DOF, "they may be two walls"),
         ]
     return []
+
+
+def _doubt(deviations: float, dof: int, meaning: str) -> list[str]:
+    """Return a line that says why a correction is doubtful, if the uncertainty of the map does not admit it."""
+    most = math.sqrt(chi_square_quantile(GATE, dof))
+    return [f"DOUBTFUL: the map admits at most {most:.1f} standard deviations; {meaning}"] if deviations > most else []
 
 
 def _pin_line(pin: dict[str, Any]) -> str:
