@@ -2,11 +2,12 @@
 
 Every few metres the points of the last keyframes are matched with the old places where the robot may be by the
 uncertainty of the estimate (see `look`). Each match is a hypothesis: a motion that would move the robot onto the old
-map. One match may be wrong, as places look alike, so each later look tests all hypotheses again. A loop is closed if
-looks support its hypothesis over as many metres of driving as the robot may be off, and if few contradict it or support
-a rival. Looks count only if they are pairwise consistent (Mangelson et al., 2018): the motion between two of them over
-the old map must be that of the estimate. The estimate itself is tested, too: if it agrees with the match that starts
-there, the robot has returned, and nothing is corrected. If it does not, this match is a hypothesis like any other.
+map. One match may be wrong, as places look alike, so each later look tests all hypotheses again. A loop is proposed if
+no rival has as much support and the looks extend over as many metres of driving as the robot may be off; whether it is
+closed is decided by the evidence of the drive, see `criteria` and `recognition.loop_evidence`. Looks count only if they
+are pairwise consistent (Mangelson et al., 2018): the motion between two of them over the old map must be that of the
+estimate. The estimate itself is tested, too: if it agrees with the match that starts there, the robot has returned, and
+nothing is corrected. If it does not, this match is a hypothesis like any other.
 
 The uncertainty of the estimate may be too small itself. So if enough looks contradict the estimate, it is in doubt: a
 hypothesis may then also be accepted if errors that are the same all along the drive explain it, see

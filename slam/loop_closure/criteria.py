@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -26,8 +27,9 @@ MIN_KNOWN = 0.4
 # Largest squared Mahalanobis distance of a motion with which a loop is closed. Places farther away are searched too:
 # if one that looks alike is near, the right one may be there, as a rival. Origin: chi-square, 3 dof.
 MAX_CLOSED_DISTANCE = chi_square_quantile(STRICT_GATE, 3)
-# Name of the check that the positions that the looks show are far enough apart. Origin: definition.
-EXTENT = "extent"
+# Names of the checks of the looks that support a hypothesis: their number, the metres over which they extend, how far
+# apart the positions are that they show, and the share of looks that contradict it. Origin: definition.
+SUPPORT, SPAN, EXTENT, CONTRADICTED = "support", "span", "extent", "contradicted"
 # Looks that must support a hypothesis. Origin: definition, one proposes it, and another one tests it.
 MIN_SUPPORT = 2
 # Looks that must support a hypothesis that leads to another place, or contradict the estimate before it is in doubt.
@@ -55,9 +57,7 @@ def differ(look: Look, motion: se2.Pose, other: se2.Pose) -> bool:
     return are_distinct(se2.compose(motion, look.pose), se2.compose(other, look.pose))
 
 
-def support_checks(
-    hypothesis: LoopHypothesis, look: Look, against: int, *, joins: bool, ended: bool = False
-) -> tuple[Check, ...]:
+def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, joins: bool) -> tuple[Check, ...]:
     """Check that enough looks support a hypothesis, and that the uncertainty admits it if it leads elsewhere.
 
     Where the robot is, there may be another place that looks like the old one and is not mapped yet. It is mapped, and
@@ -69,28 +69,44 @@ def support_checks(
 
     Furniture that was moved may look like another place in all looks that show it. So the looks must extend over the
     length of a submap as well if the hypothesis leads to another place, if the estimate is in doubt, or if parts of the
-    map are joined, for which there is no estimate. At the end of a drive no look can follow, and only the evidence of
-    the drive tells that furniture from a place.
+    map are joined, for which there is no estimate.
 
     look     the last one
     against  number of looks that contradict the hypothesis
     joins    true if it would join parts of the map
-    ended    true at the end of the drive
     """
     count, first, old = len(hypothesis.support), hypothesis.support[0], hypothesis.support[-1].old
     elsewhere = joins or look.uncertainty.doubted or differ(look, hypothesis.motion, np.zeros(3))
-    least, span = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere and not ended else (MIN_SUPPORT, 0.0)
+    least, span = (MIN_INDEPENDENT, SUBMAP_LENGTH) if elsewhere else (MIN_SUPPORT, 0.0)
     extent = look.extent_since(first.travelled - look.distance_shown_before(first))
     checks = [
-        Check("support", count, least, at_least=True),
-        Check("span", hypothesis.span, span, at_least=True),
+        Check(SUPPORT, count, least, at_least=True),
+        Check(SPAN, hypothesis.span, span, at_least=True),
         Check(EXTENT, extent, NORMAL_LIMIT * look.deviation_at(first), at_least=True),
-        Check("contradicted", against / count, 1.0 / SUPPORT_RATIO, at_least=False),
+        Check(CONTRADICTED, against / count, 1.0 / SUPPORT_RATIO, at_least=False),
     ]
     if elsewhere:
         deviations = np.sqrt(look.squared_distance(old, look.relative(old, hypothesis.motion)))
         checks.append(Check("mahalanobis", float(deviations), float(np.sqrt(MAX_CLOSED_DISTANCE)), at_least=False))
     return tuple(checks)
+
+
+def asks_for_evidence(hypothesis: LoopHypothesis, checks: Sequence[Check], *, joins: bool, ended: bool) -> bool:
+    """Return True if a hypothesis passes all checks except those that the evidence of the drive can replace.
+
+    Looks show much of furniture that was moved, and contradict each other there; the drive as a whole tells it from a
+    place. So two looks that agree are enough to ask for its evidence, also if many contradict them: it must then
+    outweigh how much places of the map look alike, see `recognition.loop_evidence`. The evidence does not tell whether
+    there is a place that looks like the old one and is not mapped yet. So the robot must have been as far away as its
+    position may be wrong, except at the end of the drive: then no look can follow. Parts of the map are joined without
+    such evidence.
+
+    checks  of `support_checks`
+    joins   true if it would join parts of the map
+    ended   true at the end of the drive
+    """
+    replaced = set() if joins else {SUPPORT, SPAN, CONTRADICTED, *([EXTENT] if ended else ())}
+    return len(hypothesis.support) >= MIN_SUPPORT and all(check.passed or check.name in replaced for check in checks)
 
 
 def prevails(hypothesis: LoopHypothesis, rival: LoopHypothesis) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .criteria import EXTENT, confirm, prevails, support_checks
+from .criteria import asks_for_evidence, confirm, prevails, support_checks
 from .decision import Check, LoopDecision
 from .look import Look
 from .loop_hypothesis import LoopHypothesis
@@ -30,17 +30,17 @@ class Judgement:
     joins: bool
 
     def accepted(self, *, ended: bool = False) -> LoopDecision | None:
-        """Return a closure that enough looks support, that few contradict and that has no equal rival.
+        """Return a closure for which the evidence of the drive is to be asked, and that has no equal rival.
 
-        If the run has `ended`, few looks are enough, and the robot need not have been as far away as its position may
-        be wrong, see `criteria.support_checks`: then the evidence of the drive decides on the closure.
+        See `criteria.asks_for_evidence`; `ended` if the run has. Parts of the map are joined without that evidence.
         """
         for hypothesis in self.hypotheses:
             if hypothesis.support[-1].keyframe != self.look.last:
                 continue
             consistent, checks = self._judged(hypothesis, ended=ended)
             rivals = self._rivals(hypothesis)
-            if _suffice(checks, ended=ended) and all(prevails(consistent, rival) for rival in rivals):
+            suffices = asks_for_evidence(consistent, checks, joins=self.joins, ended=ended)
+            if suffices and all(prevails(consistent, rival) for rival in rivals):
                 return self._decide(consistent, rivals, checks)
         return None
 
@@ -54,18 +54,18 @@ class Judgement:
         return [other for other in self.hypotheses if other is not hypothesis]
 
     def _judged(self, hypothesis: LoopHypothesis, *, ended: bool = False) -> tuple[LoopHypothesis, tuple[Check, ...]]:
-        """Return a hypothesis with its checks; if it passes them, with the consistent part of its support only."""
-        checks = self._checks(hypothesis, ended=ended)
-        if _suffice(checks, ended=ended):
+        """Return a hypothesis with its checks; if it may be accepted, with the consistent part of its support only."""
+        checks = self._checks(hypothesis)
+        if asks_for_evidence(hypothesis, checks, joins=self.joins, ended=ended):
             hypothesis = replace(hypothesis, support=self.look.consistent(hypothesis.support))
-            checks = self._checks(hypothesis, ended=ended)
+            checks = self._checks(hypothesis)
         return hypothesis, checks
 
-    def _checks(self, hypothesis: LoopHypothesis, *, ended: bool) -> tuple[Check, ...]:
+    def _checks(self, hypothesis: LoopHypothesis) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
         first = hypothesis.support[0].travelled
         against = max(hypothesis.contradictions_since(first), sum(at >= first for at in self.returned_at))
-        return support_checks(hypothesis, self.look, against, joins=self.joins, ended=ended)
+        return support_checks(hypothesis, self.look, against, joins=self.joins)
 
     def _decide(
         self, hypothesis: LoopHypothesis, rivals: Sequence[LoopHypothesis], checks: tuple[Check, ...]
@@ -84,8 +84,3 @@ class Judgement:
             since=self.look.first_of_part if self.joins else self.look.keyframe_at(wrong_since),
             joins=self.joins,
         )
-
-
-def _suffice(checks: Sequence[Check], *, ended: bool) -> bool:
-    """Return True if all checks are passed that a closure needs before the evidence of the drive is asked."""
-    return all(check.passed or (ended and check.name == EXTENT) for check in checks)
