@@ -201,14 +201,14 @@ def _health_findings(health: dict[str, Any]) -> Iterator[Finding]:
 
 def _odometry_findings(odometry: dict[str, Any]) -> Iterator[Finding]:
     """Yield findings if odometry deviates much from the scans, or turns around another point than stated."""
+    systematic = odometry.get("systematic", {})
     deviation = odometry.get("random", {}).get("along", 0.0)
-    if deviation > HIGH_ODOMETRY_ERROR:
+    if systematic and deviation > HIGH_ODOMETRY_ERROR:  # otherwise predictions deviate, which no wheels have measured
         yield Finding(
             f"Odometry deviates by {percent(deviation)} of the travelled distance.",
             "Slipping wheels, or a wrong wheel size.",
             grave=True,
         )
-    systematic = odometry.get("systematic", {})
     for name, noun in (("length", "lengths"), ("turning", "turns")):
         if (estimate := systematic.get(name)) is not None and _is_wrong_scale(estimate):
             yield Finding(

@@ -121,7 +121,10 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
     slam = {
         "loop_decisions": [{"status": "retracted", "stamp": 30.0}, {"status": "retracted", "stamp": 40.0}],
         "health": {"overlap_ratio_median": 0.6, "no_features": 1, "empty_scans": 4},
-        "odometry": {"random": {"along": 1.58, "across": 0.1, "heading_per_metre": 0.02, "heading_per_radian": 0.1}},
+        "odometry": {
+            "systematic": {"length": {"value": 1.01, "sigma": 0.01}},
+            "random": {"along": 1.58, "across": 0.1, "heading_per_metre": 0.02, "heading_per_radian": 0.1},
+        },
         "states": [
             {"stamp": 2.0, "state": "LOST", "direction": None},
             {"stamp": 5.0, "state": "OK", "direction": None},
@@ -173,6 +176,11 @@ def test_a_wrong_scale_of_odometry_is_reported(
     errors = {"length": {"value": 1.01, "sigma": 0.01}, "turning": {"value": factor, "sigma": sigma}}
     found = findings(SUMMARY | {"slam": {"odometry": {"systematic": errors}}}, trajectory)
     assert [finding.text for finding in found] == ([] if text is None else [text])
+
+
+def test_errors_of_predictions_are_no_finding_about_odometry(tmp_path: Path, finished: Finished) -> None:
+    trajectory = make(tmp_path / "out", finished).trajectory
+    assert findings(SUMMARY | {"slam": {"odometry": {"random": {"along": 0.39}}}}, trajectory) == []
 
 
 def test_a_mount_that_the_drive_contradicts_is_a_finding(tmp_path: Path, finished: Finished) -> None:
