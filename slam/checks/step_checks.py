@@ -77,17 +77,14 @@ def _text(drive: Drive, steps: Steps, k: int) -> str:
         away = as_text(se2.between(steps.alternative[k], drive.poses[k + 1]))
         fits = f"fit {better:.2f} there, {steps.fit[k]:.2f} where it was placed"
         return f"the scan fits the scans before it better {away} from where it was placed ({fits})"
-    sigmas = math.sqrt(steps.distance[k])
+    motion, pose, slip = "odometry", "odometry's pose", "wheels that slipped, "
+    if not drive.has_odometry:
+        motion, pose, slip = "the motion at constant velocity", "the predicted pose", ""
+    departs = f"the path departs from {motion} by {as_text(steps.error[k])} ({math.sqrt(steps.distance[k]):.0f} sigma)"
     if math.isnan(steps.fit[k]):
-        return (
-            f"the path departs from odometry by {as_text(steps.error[k])} ({sigmas:.0f} sigma), over a motion of which "
-            "no scan shows anything: a wrong pose, wheels that slipped, or the robot was carried"
-        )
-    fits = f"fit {better:.2f} at odometry's pose, {steps.fit[k]:.2f} where it was placed"
-    return (
-        f"the path departs from odometry by {as_text(steps.error[k])} ({sigmas:.0f} sigma), which the scan does not "
-        f"require ({fits}): a wrong pose, or the robot was carried"
-    )
+        return f"{departs}, over a motion of which no scan shows anything: a wrong pose, {slip}or the robot was carried"
+    fits = f"fit {better:.2f} at {pose}, {steps.fit[k]:.2f} where it was placed"
+    return f"{departs}, which the scan does not require ({fits}): a wrong pose, or the robot was carried"
 
 
 def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:

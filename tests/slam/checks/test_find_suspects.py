@@ -62,6 +62,10 @@ def test_a_wrong_pose_behind_a_hole_in_the_scans_is_found() -> None:
     moved = moved_from(with_hole.poses, behind, np.array([-8.0, 0.0, 0.0]))
     found = of(PLACEMENT, find_suspects(with_path(with_hole, moved)))
     assert [one.stamp for one in found if "no scan shows anything" in one.text] == [with_hole.stamps[behind]]
+    assert "departs from odometry" in found[0].text
+    predicted = of(PLACEMENT, find_suspects(with_path(replace(with_hole, has_odometry=False), moved)))
+    assert "departs from the motion at constant velocity" in predicted[0].text
+    assert not re.search("odometry|wheels", predicted[0].text)
 
 
 def with_dropped_scans(drive: Drive, first: float, last: float) -> Drive:
