@@ -5,7 +5,8 @@ Between pairs of scans, the turn x of the sensor is compared with the turn y of 
     x = g y + b T,
 
 with the scale g, the bias b of the sensor's rates, and the duration T. Weights lower the influence of wrong matches and
-of slipping wheels. The standard deviation is that of the jackknife over the pairs.
+of slipping wheels. The standard deviation is that of the jackknife over the pairs, which computes the weights anew
+without each of them: a single one may decide which of few turns are outliers, and pairs at rest agree with any scale.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import numpy as np
 
 from ..messages import Floats
 from .delay import MAX_SCALE
-from .motion_pairs import covered_pairs, jackknife_sigma, leave_one_out
+from .motion_pairs import covered_pairs, jackknife_sigma
 from .robust_weights import WEIGHT_ITERATIONS, robust_weights
 from .student import ERROR_PROBABILITY, MIN_VALUES, upper_limit
 from .turns import MAX_ROTATION_SIGMA, Run
@@ -58,23 +59,22 @@ def estimate_turn_scale(runs: Sequence[Run], stamps: Floats, angles: Floats, max
     rows = np.array([row for run in runs for row in _turns_between(run, stamps, angles, max_period)])
     if len(rows) < MIN_VALUES or np.sqrt(np.mean(rows[:, 0] ** 2)) < MAX_ROTATION_SIGMA:
         return None
-    weights = np.ones(len(rows))
     try:
-        for _ in range(WEIGHT_ITERATIONS):
-            normal, right = _normal_equations(rows, weights)
-            found, bias = np.linalg.solve(normal.sum(axis=0), right.sum(axis=0))
-            weights = robust_weights(np.abs(rows[:, 2] - found * rows[:, 0] - bias * rows[:, 1]))
-        (found, _), without_one = leave_one_out(*_normal_equations(rows, weights))
+        found = _robust_scale(rows)
+        without_one = np.array([_robust_scale(np.delete(rows, k, axis=0)) for k in range(len(rows))])
     except np.linalg.LinAlgError:  # nothing turned
         return None
-    sigma = jackknife_sigma(without_one[:, 0] - found)
-    return TurnScale(float(found), sigma, len(rows)) if np.isfinite([found, sigma]).all() else None
+    sigma = jackknife_sigma(without_one - found)
+    return TurnScale(found, sigma, len(rows)) if np.isfinite([found, sigma]).all() else None
 
 
-def _normal_equations(rows: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Return matrices (n, 2, 2) and right sides (n, 2) for scale and bias, of pairs (n, 3) with weights (n,)."""
-    inputs = rows[:, :2]
-    return weights[:, None, None] * inputs[:, :, None] * inputs[:, None, :], (weights * rows[:, 2])[:, None] * inputs
+def _robust_scale(rows: Floats) -> float:
+    """Return the scale over pairs (n, 3) of which some are outliers. Raises LinAlgError if they do not determine it."""
+    inputs, weighted = rows[:, :2], rows[:, :2]
+    for _ in range(WEIGHT_ITERATIONS):
+        found = np.linalg.solve(weighted.T @ inputs, weighted.T @ rows[:, 2])
+        weighted = robust_weights(np.abs(rows[:, 2] - inputs @ found))[:, None] * inputs
+    return float(np.linalg.solve(weighted.T @ inputs, weighted.T @ rows[:, 2])[0])
 
 
 def _turns_between(run: Run, stamps: Floats, angles: Floats, max_period: float) -> list[tuple[float, float, float]]:

@@ -14,8 +14,8 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan, YawRate, mirrored
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LidarModel, Simulation, load_world
-from drivers.timing.turn_scale import TurnScale
-from drivers.timing.turns import Turns
+from drivers.timing.turn_scale import TurnScale, estimate_turn_scale
+from drivers.timing.turns import Run, Turns
 from drivers.timing.upside_down import OdometryTurns, compare_odometry_turns
 from slam.io.recording_timing import UNKNOWN_MOUNT, RecordingTiming
 from slam.io.recordings import reason_without_odometry
@@ -117,6 +117,18 @@ def test_what_is_uncertain_is_not_doubted(found: float, sigma: float) -> None:
     turns = OdometryTurns(TurnScale(found, sigma, 20))
     assert turns.reason_to_mirror() is None
     assert turns.doubts(corrected=False) == []
+
+
+def test_odometry_is_not_doubted_if_a_single_turn_decides_which_matches_are_wrong() -> None:
+    headings, matched = np.zeros(21), np.random.default_rng(0).normal(0.0, 1e-3, 21)
+    headings[5:] -= 0.15
+    for at, turn in ((5, -0.15), (10, 0.13), (15, -0.08)):  # the latter two are wrong
+        matched[at:] += turn
+    stamps = np.arange(21.0)
+    found = estimate_turn_scale([Run([], stamps, np.column_stack([np.zeros((21, 2)), matched]))], stamps, headings, 2.0)
+    assert found is not None
+    assert found.found == pytest.approx(0.0, abs=0.01)
+    assert OdometryTurns(found).reason_to_ignore() is None
 
 
 def test_a_robot_that_does_not_turn_shows_nothing() -> None:
