@@ -321,4 +321,11 @@ class LoopAgreement:
 
     def _judgement(self, look: Look) -> Judgement:
         """Return the judgement of all hypotheses after a look."""
-        return Judgement(look, self._contradictions, tuple(self._hypotheses), self._returned_at, self._joins)
+        return Judgement(
+            look,
+            self._contradictions,
+            tuple(self._hypotheses),
+            self._returned_at,
+            self._joins,
+            self._is_estimate_in_doubt(look),
+        )

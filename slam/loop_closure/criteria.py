@@ -91,21 +91,23 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, join
     return tuple(checks)
 
 
-def asks_for_evidence(hypothesis: LoopHypothesis, checks: Sequence[Check], *, joins: bool, ended: bool) -> bool:
+def asks_for_evidence(hypothesis: LoopHypothesis, checks: Sequence[Check], *, contradicted: bool, ended: bool) -> bool:
     """Return True if a hypothesis passes all checks except those that the evidence of the drive can replace.
 
-    Looks show much of furniture that was moved, and contradict each other there; the drive as a whole tells it from a
-    place. So two looks that agree are enough to ask for its evidence, also if many contradict them: it must then
-    outweigh how much places of the map look alike, see `recognition.loop_evidence`. The evidence does not tell whether
-    there is a place that looks like the old one and is not mapped yet. So the robot must have been as far away as its
-    position may be wrong, except at the end of the drive: then no look can follow. Parts of the map are joined without
-    such evidence.
+    The evidence must then outweigh how much places of the map look alike, see `recognition.loop_evidence`. Where
+    furniture was moved, looks show much of it and contradict each other, and only the drive as a whole tells it from
+    the place. So two looks that agree suffice if so many contradict the estimate that the drive shows more than
+    furniture. They suffice at the end of the drive, too: no look can follow. The evidence tells nothing about a place
+    that looks like the old one and is not mapped, so the robot must have been as far away as its position may be wrong,
+    except at the end.
 
-    checks  of `support_checks`
-    joins   true if it would join parts of the map
-    ended   true at the end of the drive
+    checks        of `support_checks`
+    contradicted  true if at least MIN_INDEPENDENT looks contradict the estimate
+    ended         true at the end of the drive
     """
-    replaced = set() if joins else {SUPPORT, SPAN, CONTRADICTED, *([EXTENT] if ended else ())}
+    replaced = {SUPPORT, SPAN} if contradicted or ended else set()
+    replaced |= {CONTRADICTED} if contradicted else set()
+    replaced |= {EXTENT} if ended else set()
     return len(hypothesis.support) >= MIN_SUPPORT and all(check.passed or check.name in replaced for check in checks)
 
 

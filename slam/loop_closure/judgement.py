@@ -21,6 +21,7 @@ class Judgement:
     hypotheses      with at least one look each that supports them
     returned_at     metres driven up to each look that agrees with the estimate
     joins           true if the places are in parts of the map that are not connected with the last keyframe
+    in_doubt        true if so many of the looks contradict the estimate that it is in doubt
     """
 
     look: Look
@@ -28,6 +29,7 @@ class Judgement:
     hypotheses: Sequence[LoopHypothesis]
     returned_at: Sequence[float]
     joins: bool
+    in_doubt: bool
 
     def accepted(self, *, ended: bool = False) -> LoopDecision | None:
         """Return a closure for which the evidence of the drive is to be asked, and that has no equal rival.
@@ -39,7 +41,7 @@ class Judgement:
                 continue
             consistent, checks = self._judged(hypothesis, ended=ended)
             rivals = self._rivals(hypothesis)
-            suffices = asks_for_evidence(consistent, checks, joins=self.joins, ended=ended)
+            suffices = self._asks_for_evidence(consistent, checks, ended=ended)
             if suffices and all(prevails(consistent, rival) for rival in rivals):
                 return self._decide(consistent, rivals, checks)
         return None
@@ -56,10 +58,16 @@ class Judgement:
     def _judged(self, hypothesis: LoopHypothesis, *, ended: bool = False) -> tuple[LoopHypothesis, tuple[Check, ...]]:
         """Return a hypothesis with its checks; if it may be accepted, with the consistent part of its support only."""
         checks = self._checks(hypothesis)
-        if asks_for_evidence(hypothesis, checks, joins=self.joins, ended=ended):
+        if self._asks_for_evidence(hypothesis, checks, ended=ended):
             hypothesis = replace(hypothesis, support=self.look.consistent(hypothesis.support))
             checks = self._checks(hypothesis)
         return hypothesis, checks
+
+    def _asks_for_evidence(self, hypothesis: LoopHypothesis, checks: Sequence[Check], *, ended: bool) -> bool:
+        """Return True if the evidence of the drive is to be asked; there is none for parts of the map."""
+        if self.joins:
+            return all(check.passed for check in checks)
+        return asks_for_evidence(hypothesis, checks, contradicted=self.in_doubt, ended=ended)
 
     def _checks(self, hypothesis: LoopHypothesis) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""

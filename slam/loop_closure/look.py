@@ -249,13 +249,17 @@ class Look:
         covariance += scale**2 * self._mapper.covariances.relative(match.keyframe, other.keyframe)
         return squared_distance(estimated, over_old, covariance) < MAX_SQUARED_DISTANCE
 
+    @property
+    def _widest_reach(self) -> float:
+        """Metres to each side within which a pose is searched at an old place."""
+        return DOUBTED_REACH if self.uncertainty.doubted else REFERENCE_DISTANCE
+
     def search(self, old: int) -> Sequence[SubmapMatch]:
         """Return the poses of the submap in that of an old place that the estimate's uncertainty admits."""
         prediction, reach = self.relative(old, np.zeros(3)), self.uncertainty.search_radius(old)
-        widest = DOUBTED_REACH if self.uncertainty.doubted else REFERENCE_DISTANCE
-        if reach > widest:  # the robot is near this place, or else near another one
+        if reach > self._widest_reach:  # the robot is near this place, or else near another one
             prediction = np.array([0.0, 0.0, prediction[2]])
-        reach = min(widest, reach)
+        reach = min(self._widest_reach, reach)
         turn = SEARCH_DEVIATIONS * float(np.sqrt(self.uncertainty.covariance(old)[2, 2]))
         found = search_submap(self.submap, self.old_submap(old), prediction, reach, turn)
         return [match for match in found if self.admits(old, match.pose)]
@@ -265,13 +269,13 @@ class Look:
 
         motion  of the hypothesis, in the map
         since   keyframe of the last look that supports the hypothesis. If scans do not determine the motion from there
-                on, all poses within the uncertainty of this motion are searched
+                on, all poses near it within the uncertainty of this motion are searched
         """
         start = self.relative(old, motion)
         match = improve(self.submap, self.old_submap(old), start)
         if self._field.is_undetermined(since, self.last):
             covariance = self._mapper.covariances.relative(since, self.last)
-            reach = SEARCH_DEVIATIONS * position_sigma(covariance)
+            reach = min(self._widest_reach, SEARCH_DEVIATIONS * position_sigma(covariance))
             turn = SEARCH_DEVIATIONS * float(np.sqrt(covariance[2, 2]))
             found = search_submap(self.submap, self.old_submap(old), start, reach, turn)
             distances = [squared_distance(start, m.pose, covariance + m.covariance) for m in found]

@@ -12,16 +12,17 @@ from drivers import se2
 from features.normal_limits import NORMAL_LIMIT
 from slam.geometry.segments import CornerPoints, Floats, Segments
 from slam.localisation.local_field import REFERENCE_DISTANCE, LocalField
+from slam.loop_closure import look as look_module
 from slam.loop_closure import look_back
 from slam.loop_closure.agreement import LoopAgreement
 from slam.loop_closure.criteria import MIN_INDEPENDENT, MIN_SUPPORT, SPAN, SUPPORT, support_checks
 from slam.loop_closure.decision import LoopDecision, LoopMatch
-from slam.loop_closure.look import Look
+from slam.loop_closure.look import DOUBTED_REACH, Look
 from slam.loop_closure.loop_hypothesis import LoopAgreementState, LoopHypothesis
 from slam.loop_closure.loop_status import LoopStatus
 from slam.loop_closure.relative_uncertainty import UNMODELLED_SIGMAS
 from slam.loop_closure.returns import summarise
-from slam.loop_closure.submap_search import REVISIT_GAP, SUBMAP_LENGTH, SubmapMatch
+from slam.loop_closure.submap_search import REVISIT_GAP, SUBMAP_LENGTH, Submap, SubmapMatch
 from slam.loop_closure.submaps import Submaps
 from slam.loop_closure.votes import Vote, Votes, vote_in_view
 from slam.mapping.landmarks import Landmarks
@@ -224,8 +225,8 @@ def test_looks_before_the_one_that_proposes_a_loop_count_only_if_they_contradict
     assert drive_twice(drift, np.zeros(3), room=HALL, begin=14.0, end=35.0, until=15.0)[0] == []
 
 
-def test_the_robot_is_searched_beside_the_path_only_while_the_estimate_is_in_doubt() -> None:
-    """It is 6 m beside the path of the first pass, where the estimate has it."""
+def look_from_beside() -> Look:
+    """Return a look from 6 m beside the path of the first pass, where the estimate has the robot, give or take 3 m."""
     inside, beside = np.array([8.0, 1.5, 0.0]), np.array([8.0, 7.5, 0.0])
     state, local_field = StubMap(np.diag([3.0, 3.0, 0.05]) ** 2), LocalField()
     for seen_from, travelled in ((inside, 0.0), (beside, 2.0 * REVISIT_GAP)):
@@ -234,10 +235,32 @@ def test_the_robot_is_searched_beside_the_path_only_while_the_estimate_is_in_dou
         state.keyframe_poses = np.vstack([state.keyframe_poses, inside])
         state.travelled.append(travelled)
         local_field.update(state.keyframe_count - 1, state.keyframe_poses, state.travelled)
-    look = Look(state, local_field, Submaps())  # type: ignore[arg-type]
+    return Look(state, local_field, Submaps())  # type: ignore[arg-type]
+
+
+def test_the_robot_is_searched_beside_the_path_only_while_the_estimate_is_in_doubt() -> None:
+    look = look_from_beside()
     found = [[match.pose for match in some.search(0)] for some in (look, look.doubting_estimate())]
     right = [[pose for pose in poses if np.hypot(*(pose - [0.0, 6.0, 0.0])[:2]) < 0.1] for poses in found]
     assert (len(right[0]), len(right[1])) == (0, 1)
+
+
+def test_a_hypothesis_is_not_searched_beyond_its_old_place_however_uncertain_the_motion_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Otherwise the time grows with the square of the uncertainty. Other places are searched by themselves."""
+    searched: list[float] = []
+
+    def search(submap: Submap, old: Submap, prediction: se2.Pose, reach: float, turn: float) -> list[SubmapMatch]:
+        searched.append(reach)
+        return []
+
+    monkeypatch.setattr(look_module, "search_submap", search)
+    monkeypatch.setattr(LocalField, "is_undetermined", lambda *_: True)
+    look = look_from_beside()
+    for some in (look, look.doubting_estimate()):
+        some.test(0, np.zeros(3), 0)
+    assert searched == [REFERENCE_DISTANCE, DOUBTED_REACH]
 
 
 @pytest.mark.slow
@@ -269,10 +292,13 @@ def test_similar_room_elsewhere_is_not_taken_for_the_first_one() -> None:
     assert agreement.returns == []
 
 
-def test_a_larger_drift_is_proposed_to_the_evidence_of_the_drive_if_two_looks_agree() -> None:
-    """The drive ends too early for four looks; parts of the map are never joined so early."""
+def test_a_larger_drift_is_proposed_to_the_evidence_of_the_drive_where_the_estimate_is_contradicted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The drive ends too early for four looks. Parts of the map are never joined so early."""
     drift = np.array([0.3, 0.9, 0.08])
-    assert drive_twice(drift, np.zeros(3), until=5.0)[0] == []
+    assert drive_twice(drift, np.zeros(3), until=5.0, proposed=True)[0] == []
+    monkeypatch.setattr(LoopAgreement, "_is_estimate_in_doubt", lambda *_: True)
     first, *_ = drive_twice(drift, np.zeros(3), until=5.0, proposed=True)[0]
     assert len(first.matches) == MIN_SUPPORT
     assert {check.name for check in first.checks if not check.passed} == {SUPPORT, SPAN}
