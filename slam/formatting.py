@@ -25,6 +25,11 @@ def percent(share: float, digits: int = 0) -> str:
     return f"{100 * share:.{digits}f} %"
 
 
+def percent_apart(share: float, limit: float) -> str:
+    """Return a ratio in per cent, with as many digits, up to 6, as tell it from a limit in per cent."""
+    return percent(share, next((digits for digits in range(6) if percent(share, digits) != percent(limit, digits)), 6))
+
+
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun, in the plural unless it is 1."""
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"

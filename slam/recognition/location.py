@@ -15,7 +15,7 @@ import numpy as np
 from drivers import se2
 from drivers.immutable import immutable
 
-from ..formatting import percent
+from ..formatting import percent, percent_apart
 from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.criteria import MIN_KNOWN, MIN_LOOP_FIT
@@ -274,7 +274,8 @@ class _Comparison:
         place = f"at its best place, {self._motion(self._best)}"
         if self.mapped < self.least_mapped and location.evidence >= location.required:
             least = "requires " + percent(self.least_mapped) if self.least_mapped <= 1.0 else "no share suffices there"
-            return f"{place}, only {percent(self.mapped)} of what it shows are mapped ({least}): {numbers}"
+            mapped = f"only {percent_apart(self.mapped, self.least_mapped)} of what it shows are mapped ({least})"
+            return f"{place}, {mapped}: {numbers}"
         if location.evidence >= location.required:
             return f"{place}, {share} fit, but no submap alone fits and has a certain position: {numbers}"
         return f"{place}, {share} fit, as they may where it only looks alike: {numbers}"

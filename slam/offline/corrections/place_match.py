@@ -8,7 +8,7 @@ from drivers import se2
 
 from ...errors import MapError
 from ...estimation.slam_state import SlamState
-from ...formatting import percent
+from ...formatting import percent, percent_apart
 from ...localisation.local_field import REFERENCE_DISTANCE
 from ...loop_closure.criteria import MIN_KNOWN, MIN_LOOP_FIT, is_determined
 from ...loop_closure.look import Look
@@ -69,11 +69,10 @@ def _misfit(found: list[SubmapMatch]) -> str:
         return "the scans fit at no pose"
     fitting = [match for match in found if match.fit >= MIN_PLACE_FIT]
     if not fitting:
-        return f"at the best pose {percent(found[0].fit)} of the points fit (at least {percent(MIN_PLACE_FIT)} needed)"
+        fit, needed = percent_apart(found[0].fit, MIN_PLACE_FIT), percent(MIN_PLACE_FIT)
+        return f"at the best pose {fit} of the points fit (at least {needed} needed)"
     known = max(match.known for match in fitting)
     if known < MIN_KNOWN:  # where nothing was seen, nothing contradicts
-        needed = f"(at least {percent(MIN_KNOWN)} needed)"
-        return (
-            f"the scans fit only where the older ones have seen {percent(known)} of what the later ones show {needed}"
-        )
+        seen = f"{percent_apart(known, MIN_KNOWN)} of what the later ones show (at least {percent(MIN_KNOWN)} needed)"
+        return f"the scans fit only where the older ones have seen {seen}"
     return "the scans do not determine the position in every direction, as along a bare corridor"
