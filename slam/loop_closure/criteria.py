@@ -91,22 +91,23 @@ def support_checks(hypothesis: LoopHypothesis, look: Look, against: int, *, join
     return tuple(checks)
 
 
-def asks_for_evidence(hypothesis: LoopHypothesis, checks: Sequence[Check], *, contradicted: bool, ended: bool) -> bool:
-    """Return True if a hypothesis passes all checks except those that the evidence of the drive can replace.
+def qualifies(hypothesis: LoopHypothesis, checks: Sequence[Check], *, in_doubt: bool, ended: bool) -> bool:
+    """Return True if the evidence of the drive may decide on a hypothesis: all checks pass that it cannot replace.
 
-    The evidence must then outweigh how much places of the map look alike, see `recognition.loop_evidence`. Where
-    furniture was moved, looks show much of it and contradict each other, and only the drive as a whole tells it from
-    the place. So two looks that agree suffice if so many contradict the estimate that the drive shows more than
-    furniture. They suffice at the end of the drive, too: no look can follow. The evidence tells nothing about a place
-    that looks like the old one and is not mapped, so the robot must have been as far away as its position may be wrong,
-    except at the end.
+    If others fail, the evidence must also outweigh how much places of the map look alike, see
+    `recognition.loop_evidence`. It replaces the number of looks where furniture was moved: looks show much of that and
+    contradict each other, and only the drive as a whole tells it from the place. If the estimate is in doubt, the looks
+    that contradict it extend over a submap, so the drive shows more than furniture, and two looks that agree suffice.
+    They suffice at the end of the drive, too, as no look can follow. The evidence tells nothing about a place that
+    looks like the old one and is not mapped: before the end the robot must have been as far away as its position may be
+    wrong.
 
-    checks        of `support_checks`
-    contradicted  true if at least MIN_INDEPENDENT looks contradict the estimate
-    ended         true at the end of the drive
+    checks    of `support_checks`
+    in_doubt  true if at least MIN_INDEPENDENT looks contradict the estimate
+    ended     true at the end of the drive
     """
-    replaced = {SUPPORT, SPAN} if contradicted or ended else set()
-    replaced |= {CONTRADICTED} if contradicted else set()
+    replaced = {SUPPORT, SPAN} if in_doubt or ended else set()
+    replaced |= {CONTRADICTED} if in_doubt else set()
     replaced |= {EXTENT} if ended else set()
     return len(hypothesis.support) >= MIN_SUPPORT and all(check.passed or check.name in replaced for check in checks)
 

@@ -62,13 +62,14 @@ class LoopDecision:
     old           keyframe that saw the place before
     motion        [x, y, heading] by which the robot would move, in its own frame
     correction    the same motion of the recent keyframes, in the map
-    status        CONFIRMED by the search, or REJECTED if a check fails; a confirmed one becomes ACCEPTED when the loop
-                  is closed, or REJECTED if the map does not fit together then; RETRACTED if later scans contradict it
+    status        CONFIRMED by the search, or REJECTED if a check fails that evidence cannot replace; a confirmed one
+                  becomes ACCEPTED when the loop is closed, or REJECTED if the evidence of the drive is against it or if
+                  the map does not fit together then; RETRACTED if later scans contradict it
     reason        reason of the status
     matches       of submaps, which agree
     runner_up     looks that support the strongest rival, as a share
     contradicted  share of the looks that contradict it
-    checks        all checks
+    checks        all checks; once the evidence has confirmed the closure, without failed ones that it replaces
     since         first keyframe of the pass that is moved
     compared      points (n, 2) of the recent submap, in the map before the closure, and (m, 2) of the old place
     merged        landmark ids (old, recent) of walls that were merged

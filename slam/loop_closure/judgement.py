@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from .criteria import asks_for_evidence, confirm, prevails, support_checks
+from .criteria import confirm, prevails, qualifies, support_checks
 from .decision import Check, LoopDecision
 from .look import Look
 from .loop_hypothesis import LoopHypothesis
@@ -21,7 +21,7 @@ class Judgement:
     hypotheses      with at least one look each that supports them
     returned_at     metres driven up to each look that agrees with the estimate
     joins           true if the places are in parts of the map that are not connected with the last keyframe
-    in_doubt        true if so many of the looks contradict the estimate that it is in doubt
+    in_doubt        true if at least MIN_INDEPENDENT looks contradict the estimate
     """
 
     look: Look
@@ -32,17 +32,17 @@ class Judgement:
     in_doubt: bool
 
     def accepted(self, *, ended: bool = False) -> LoopDecision | None:
-        """Return a closure for which the evidence of the drive is to be asked, and that has no equal rival.
+        """Return a closure on which the evidence of the drive may decide, and that has no equal rival.
 
-        See `criteria.asks_for_evidence`; `ended` if the run has. Parts of the map are joined without that evidence.
+        See `criteria.qualifies`; `ended` if the run has. A join of parts of the map must pass all checks.
         """
         for hypothesis in self.hypotheses:
             if hypothesis.support[-1].keyframe != self.look.last:
                 continue
             consistent, checks = self._judged(hypothesis, ended=ended)
             rivals = self._rivals(hypothesis)
-            suffices = self._asks_for_evidence(consistent, checks, ended=ended)
-            if suffices and all(prevails(consistent, rival) for rival in rivals):
+            qualified = self._qualifies(consistent, checks, ended=ended)
+            if qualified and all(prevails(consistent, rival) for rival in rivals):
                 return self._decide(consistent, rivals, checks)
         return None
 
@@ -56,18 +56,18 @@ class Judgement:
         return [other for other in self.hypotheses if other is not hypothesis]
 
     def _judged(self, hypothesis: LoopHypothesis, *, ended: bool = False) -> tuple[LoopHypothesis, tuple[Check, ...]]:
-        """Return a hypothesis with its checks; if it may be accepted, with the consistent part of its support only."""
+        """Return a hypothesis with its checks; if it qualifies, with the consistent part of its support only."""
         checks = self._checks(hypothesis)
-        if self._asks_for_evidence(hypothesis, checks, ended=ended):
+        if self._qualifies(hypothesis, checks, ended=ended):
             hypothesis = replace(hypothesis, support=self.look.consistent(hypothesis.support))
             checks = self._checks(hypothesis)
         return hypothesis, checks
 
-    def _asks_for_evidence(self, hypothesis: LoopHypothesis, checks: Sequence[Check], *, ended: bool) -> bool:
-        """Return True if the evidence of the drive is to be asked; there is none for parts of the map."""
+    def _qualifies(self, hypothesis: LoopHypothesis, checks: Sequence[Check], *, ended: bool) -> bool:
+        """Return True if a hypothesis qualifies; no evidence follows for a join, which so must pass all checks."""
         if self.joins:
             return all(check.passed for check in checks)
-        return asks_for_evidence(hypothesis, checks, contradicted=self.in_doubt, ended=ended)
+        return qualifies(hypothesis, checks, in_doubt=self.in_doubt, ended=ended)
 
     def _checks(self, hypothesis: LoopHypothesis) -> tuple[Check, ...]:
         """Return the checks of a hypothesis; looks that agree with the estimate contradict it too."""
