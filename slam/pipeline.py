@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from typing import TYPE_CHECKING
 
 from drivers import se2
@@ -332,7 +333,7 @@ class Slam:
             raise MapError("no laser scan, so there is nothing to map")
         if not self._has_odometry:
             raise MapError(f"{self._preprocessor.scans} scans, but no odometry; add --no-odometry to map without")
-        self._close_last_loop()
+        self._close_last_loops()
         session = self._session_with_queue()
         self._process_queue()
         add_second_look(self.slam_state)
@@ -345,11 +346,11 @@ class Slam:
             self._session = self._stored.at_end(state)
         return publish_run(state, self._journal, self._publisher, summary, after=self._results_after)
 
-    def _close_last_loop(self) -> None:
-        """Close the loop at the end of the drive, if there is one: no further scan will confirm it."""
-        closed = self._estimator.close_last_loop()
-        if closed is not None:
-            decision, superseded = closed
+    def _close_last_loops(self) -> None:
+        """Close the loops at the end of the drive, if there are any: no further scan will confirm them."""
+        last = self._estimator.close_last_loop()
+        displaced = self._estimator.close_displaced_loops(self._journal)
+        for decision, superseded in chain(() if last is None else (last,), displaced):
             stamp = self.slam_state.keyframe_stamps[decision.keyframe]
             self._report.add_loop(decision, stamp, self.slam_state.mapper, superseded)
 

@@ -14,7 +14,7 @@ import numpy as np
 from drivers import se2
 from drivers.immutable import immutable
 
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from ..matching.point_matcher import POINT_SPACING
 from ..matching.scan_points import surface_points
 from ..preprocessing.preprocessor import NO_FEATURES
@@ -49,10 +49,7 @@ class Refits:
 def displaced_scans(drive: Drive) -> Iterator[Suspect]:
     """Yield the intervals of a sampled drive in which the scans fit the map of the others better elsewhere."""
     found = refit_scans(drive)
-    suspicious = np.flatnonzero((found.gain > found.threshold) & (found.displacement > MIN_DISPLACEMENT))
-    for group in consecutive_groups(suspicious, MAX_GAP):
-        if len(group) < MIN_SCANS:
-            continue
+    for group in displaced_groups(found):
         worst = int(group[np.argmax(found.gain[group])])
         text = (
             f"the map does not fit together: {len(group)} scans fit the map of the others better elsewhere, this one "
@@ -63,13 +60,39 @@ def displaced_scans(drive: Drive) -> Iterator[Suspect]:
         yield Suspect(MAP, float(drive.stamps[worst]), first, last, drive.poses[worst, :2], weight, text)
 
 
+def displaced_groups(found: Refits) -> list[Integers]:
+    """Return the rows of the scans of each interval in which enough of them fit better elsewhere."""
+    suspicious = np.flatnonzero((found.gain > found.threshold) & (found.displacement > MIN_DISPLACEMENT))
+    return [group for group in consecutive_groups(suspicious, MAX_GAP) if len(group) >= MIN_SCANS]
+
+
 def refit_scans(drive: Drive) -> Refits:
     """Search a better pose around that of each scan of a sampled drive, by the map of the scans not near to it."""
     count = len(drive)
-    points = [_points(own) for own in drive.points]
     found = Refits(
         math.log(max(count, 1) / FALSE_ALARM_PROBABILITY), np.zeros(count), np.zeros((count, 3)), np.zeros(count)
     )
+    for row, points, around in _each_scan(drive):
+        _refit(found, row, around, points, drive.poses[row])
+    return found
+
+
+def map_gain(drive: Drive, corrected: Drive) -> float:
+    """Return how much more likely the scans of a sampled drive are, each in the map of the others, if it is corrected.
+
+    The logarithm of the ratio. `corrected` has the same scans with other poses. A point that one of both maps cannot
+    judge does not count.
+    """
+    gain = 0.0
+    for (row, points, before), (_, _, after) in zip(_each_scan(drive), _each_scan(corrected), strict=True):
+        gains = after.likelihoods(points, corrected.poses[row]) - before.likelihoods(points, drive.poses[row])
+        gain += FIT_WEIGHT * float(np.nansum(gains)) / len(points)
+    return gain
+
+
+def _each_scan(drive: Drive) -> Iterator[tuple[int, Floats, Surroundings]]:
+    """Yield the row of each scan that is compared, its points (p, 6), and the map of the scans not near to it."""
+    count, points = len(drive), [_points(own) for own in drive.points]
     others = LeaveOutMap(drive.poses[:, :2])
     for row in range(FIELD_SCANS, count):
         others.add(points[row], drive.poses[row])
@@ -79,9 +102,7 @@ def refit_scans(drive: Drive) -> Refits:
         if row > FIELD_SCANS:
             others.add(points[row - FIELD_SCANS - 1], drive.poses[row - FIELD_SCANS - 1])
         if len(points[row]) >= MIN_POINTS:
-            around = others.around(drive.poses[row, :2], MAX_RANGE + math.hypot(*MAX_SEARCH[:2]))
-            _refit(found, row, around, points[row], drive.poses[row])
-    return found
+            yield row, points[row], others.around(drive.poses[row, :2], MAX_RANGE + math.hypot(*MAX_SEARCH[:2]))
 
 
 def _points(points: Floats) -> Floats:

@@ -7,7 +7,7 @@ map on trial: when its place is recognised, it is discarded, and only the poses 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,9 @@ from ..mapping.mapper import Mapper
 from ..preprocessing.preprocessor import ProcessedScan
 from ..recognition.location import LOST, Expectation
 from .closure_monitor import ClosureMonitor
+from .displaced_loops import close_displaced_loops
 from .earlier_part import EarlierPart
+from .journal import Journal
 from .loop_update import close_loop, search_last_loop
 from .placing import place, relocalise
 from .plan_update import update_by_plan
@@ -231,7 +233,7 @@ class Estimator:
         Returns the decision and the map before it. None if there is no such loop, or if the map is not extended: the
         state is unchanged then, so that a run which continues the session is as one that has not been interrupted.
         """
-        if self._frozen_state is not None or self.state.frozen or not self.state.mapper.keyframe_count:
+        if not self._closes_last_loops:
             return None
         before = self.state.copy()
         before.mapper.solve_waiting()
@@ -245,6 +247,22 @@ class Estimator:
         self._monitor.add(before, decision)
         self.state = closed
         return decision, before.mapper
+
+    @property
+    def _closes_last_loops(self) -> bool:
+        """True if loops may be closed at the end: if there is a map, and it is extended."""
+        return self._frozen_state is None and not self.state.frozen and self.state.mapper.keyframe_count > 0
+
+    def close_displaced_loops(self, journal: Journal) -> Iterator[tuple[LoopDecision, Mapper]]:
+        """Close the loops that displaced scans show, at the end of a run; see `displaced_loops`.
+
+        Yields each decision and the map before it. There is none if the map is not extended.
+        """
+        if not self._closes_last_loops or not self.state.config.loop_closure.enabled:
+            return
+        for closed, decision in close_displaced_loops(self.state, journal):
+            before, self.state = self.state, closed
+            yield decision, before.mapper
 
     def _retract_contradicted_closure(self) -> LoopDecision | None:
         """Undo a closure that later scans contradict: return to its checkpoint and process the scans since again."""

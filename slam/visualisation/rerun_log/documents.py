@@ -86,6 +86,7 @@ _CHECKS = {
     "mahalanobis": "deviation from the estimate, sigmas",
     "rival": "looks that support another place / looks that support it",
     "last-look": "places that fit the last look as well",
+    "gain": "logarithm of how much more likely all scans are in the corrected map",
     "retracted": "equal closures that were retracted",
 }
 

@@ -11,6 +11,7 @@ import pytest
 from drivers import se2
 from drivers.elapsed import parse_elapsed
 from slam.checks import Suspect
+from slam.checks.displaced_scans import map_gain, refit_scans
 from slam.checks.drive import Drive
 from slam.checks.report import find_suspects
 from slam.checks.suspect import MAP, ODOMETRY, PLACEMENT
@@ -226,6 +227,15 @@ def test_scans_that_slide_off_together_are_found_by_the_others() -> None:
     assert found.check == MAP
     assert "3 scans fit the map of the others better elsewhere" in found.text
     assert abs(found.stamp - 40.0) < SECONDS
+
+
+def test_a_corrected_map_is_more_likely() -> None:
+    right = simulated_drive("office").sampled()
+    share = np.clip(1.0 - np.abs(right.stamps - 40.0) / 1.5, 0.0, 1.0)
+    slid = with_path(right, right.poses + share[:, None] * np.array([0.0, 0.5, 0.0]))
+    assert map_gain(right, right) == 0.0
+    assert map_gain(slid, right) > refit_scans(slid).threshold
+    assert map_gain(right, slid) < 0.0
 
 
 @pytest.mark.parametrize("relocalised", [True, False])
