@@ -43,6 +43,7 @@ class LeaveOutMap:
         self._origin = np.array([*low, 0.0])
         self._hits = np.zeros((ALL_POINTS + 1, rows, columns), dtype=np.int32)
         self._passed = np.zeros((rows, columns), dtype=np.int32)
+        self._classes: NDArray[np.uint8] = np.zeros((0, 0, 0), dtype=np.uint8)  # memory that is used again
 
     def add(self, points: Floats, pose: se2.Pose) -> None:
         """Add a scan of `points` (p, 6) with normals, in the frame of the base at `pose`, metres."""
@@ -54,20 +55,20 @@ class LeaveOutMap:
 
     def _count(self, points: Floats, pose: se2.Pose, step: int) -> None:
         reach, margin = MAX_RANGE / self.cell, MIN_DEPTH / self.cell
-        _count(self._hits, self._passed, self.in_cells(points), self.moved(pose), reach, margin, step)
+        _count(self._hits, self._passed, points, self.moved(pose), self.cell, reach, margin, step)
 
     def around(self, position: Floats, half_width: float) -> Surroundings:
-        """Return the cells up to `half_width` metres from a `position` (2,) along each axis; valid until a change."""
+        """Return the cells up to `half_width` metres from a `position` (2,) along each axis.
+
+        Valid until the next change or call.
+        """
         half = math.ceil(half_width / self.cell)
         first = np.floor((position - self._origin[:2]) / self.cell).astype(np.int64) - half
-        classes = np.full((ALL_POINTS + 1, 2 * half + 1, 2 * half + 1), NOT_YET, dtype=np.uint8)
-        return Surroundings(self, (self._hits, self._passed, classes, first))
-
-    def in_cells(self, points: Floats) -> Floats:
-        """Return points (p, 6) in a frame at a pose, with the position in cells."""
-        scaled = points.copy()
-        scaled[:, :2] /= self.cell
-        return scaled
+        shape = ALL_POINTS + 1, 2 * half + 1, 2 * half + 1
+        if self._classes.shape != shape:
+            self._classes = np.empty(shape, dtype=np.uint8)
+        self._classes.fill(NOT_YET)
+        return Surroundings(self, (self._hits, self._passed, self._classes, first))
 
     def moved(self, poses: Floats) -> Floats:
         """Return poses (3,) or (m, 3) with the position in cells of the map."""
@@ -89,23 +90,26 @@ class Surroundings:
 
         It is zero for a point in free space, or behind something at rest.
         """
-        return np.asarray(_likelihoods(self._arrays, self._others.in_cells(points), self._others.moved(pose)))
+        return np.asarray(_likelihoods(self._arrays, points, self._others.moved(pose), self._others.cell))
 
     def gains(self, points: Floats, before: Floats, poses: Floats) -> Floats:
         """Return (m,) how much better the points fit at each of `poses` (m, 3) than with the likelihoods `before` (p,).
 
         Points count that the map can judge both there and before; the sum is relative to the number of all points.
         """
-        return np.asarray(_gains(self._arrays, self._others.in_cells(points), before, self._others.moved(poses)))
+        return np.asarray(_gains(self._arrays, points, before, self._others.moved(poses), self._others.cell))
 
 
 @compiled
-def _count(hits, passed, points, pose, reach, margin, step):  # type: ignore[no-untyped-def]
-    """Add `step` to the cells in which the beams of a scan end, and to those that they pass; lengths are in cells."""
+def _count(hits, passed, points, pose, cell, reach, margin, step):  # type: ignore[no-untyped-def]
+    """Add `step` to the cells in which the beams of a scan end, and to those that they pass.
+
+    Lengths are in cells, except for those of the points and of a `cell`, which are in metres.
+    """
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for p in range(len(points)):
-        length = math.hypot(points[p, 0], points[p, 1])
-        dx, dy = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
+        length = math.hypot(points[p, 0] / cell, points[p, 1] / cell)
+        dx, dy = _turned(points, p, cell, c, s)
         if length <= reach:
             row, column = math.floor(pose[0] + dx), math.floor(pose[1] + dy)
             if 0 <= row < hits.shape[1] and 0 <= column < hits.shape[2]:
@@ -150,23 +154,31 @@ def _classify(hits, passed, facing, row, column):  # type: ignore[no-untyped-def
 
 
 @compiled
-def _likelihoods(arrays, points, pose):  # type: ignore[no-untyped-def]
+def _likelihoods(arrays, points, pose, cell):  # type: ignore[no-untyped-def]
     """Return the likelihood of each point at a pose; see `Surroundings.likelihoods`."""
     found = np.empty(len(points))
     c, s = math.cos(pose[2]), math.sin(pose[2])
     for p in range(len(points)):
-        found[p] = _likelihood(arrays, points, p, pose, c, s)
+        found[p] = _likelihood(arrays, points, p, pose, cell, c, s)
         if math.isnan(found[p]):
-            dx, dy = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
+            dx, dy = _turned(points, p, cell, c, s)
             if _passes_through(arrays, pose, dx, dy):
                 found[p] = 0.0
     return found
 
 
 @inlined
-def _likelihood(arrays, points, p, pose, c, s):  # type: ignore[no-untyped-def]
+def _turned(points, p, cell, c, s):  # type: ignore[no-untyped-def]
+    """Return the position of point p in cells, turned by an angle with the cosine c and the sine s."""
+    x, y = points[p, 0] / cell, points[p, 1] / cell
+    return c * x - s * y, s * x + c * y
+
+
+@inlined
+def _likelihood(arrays, points, p, pose, cell, c, s):  # type: ignore[no-untyped-def]
     """Return the likelihood of point p at a pose with the cosine c and the sine s of its heading."""
-    x, y = pose[0] + c * points[p, 0] - s * points[p, 1], pose[1] + s * points[p, 0] + c * points[p, 1]
+    dx, dy = _turned(points, p, cell, c, s)
+    x, y = pose[0] + dx, pose[1] + dy
     nx, ny = c * points[p, 2] - s * points[p, 3], s * points[p, 2] + c * points[p, 3]
     return LIKELIHOODS[_class_at(arrays, facing_grid(nx, ny), x, y)]
 
@@ -186,14 +198,14 @@ def _passes_through(arrays, pose, dx, dy):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _gains(arrays, points, before, poses):  # type: ignore[no-untyped-def]
+def _gains(arrays, points, before, poses, cell):  # type: ignore[no-untyped-def]
     """Return the gain at each pose; see `Surroundings.gains`."""
     gains = np.zeros(len(poses))
     for k in range(len(poses)):
         c, s = math.cos(poses[k, 2]), math.sin(poses[k, 2])
         for p in range(len(points)):
             if not math.isnan(before[p]):
-                likelihood = _likelihood(arrays, points, p, poses[k], c, s)
+                likelihood = _likelihood(arrays, points, p, poses[k], cell, c, s)
                 if not math.isnan(likelihood):
                     gains[k] += likelihood - before[p]
         gains[k] /= len(points)
