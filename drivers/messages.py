@@ -18,6 +18,8 @@ Floats = NDArray[np.float64]
 MAX_SPAN = 4.0 * math.pi
 """Radians from the first beam of a scan to the last at most: it covers about one turn. In degrees it would cover more.
 """
+MAX_TURN_PERIOD = 10.0
+"""Seconds in which a lidar turns once at most. Origin: data sheets; they turn several times in a second."""
 
 
 @immutable

@@ -23,6 +23,8 @@ from pydantic import (
     model_validator,
 )
 
+from drivers.messages import MAX_TURN_PERIOD
+
 from .bounds import MAX_MOUNT, MAX_ODOMETRY_DEVIATION, MAX_TURN
 from .errors import ConfigurationError, shortened
 
@@ -91,7 +93,7 @@ class LidarConfig(Settings):
     turn_period: Finite | None = Field(
         None,
         ge=0,
-        lt=10,
+        lt=MAX_TURN_PERIOD,
         description="seconds in which the lidar turns once, if the times of beams are stated wrongly or not at all: "
         "they are then measured one after the other by their angles, counter-clockwise, or clockwise if beam_order is "
         "'reversed'; 0: all at once. By default as stated, in a recording as its scans show",

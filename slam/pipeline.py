@@ -329,10 +329,12 @@ class Slam:
 
         Raises MapError if there was nothing to map.
         """
+        self._check.finish()
         if not self._preprocessor.scans:
             raise MapError("no laser scan, so there is nothing to map")
         if not self._has_odometry:
-            raise MapError(f"{self._preprocessor.scans} scans, but no odometry; add --no-odometry to map without")
+            remedy = "add --no-odometry to map without, in Python Config().without_odometry()"
+            raise MapError(f"{self._preprocessor.scans} scans, but no odometry; {remedy}")
         self._close_last_loops()
         session = self._session_with_queue()
         self._process_queue()

@@ -68,7 +68,7 @@ def in_seconds(numbered: Iterable[Numbered], report: StampReport) -> Iterator[Nu
     while per_second is None:
         sample += islice(iterator, size - len(sample))
         messages = [message for _, message in sample]
-        per_second = _find_unit(messages)
+        per_second = find_unit(messages)
         if per_second is None and len(sample) < size:
             per_second = _unit_of_date(messages)
             report.doubt("unit of the stamps is uncertain: they are no seconds, and the robot does not move")
@@ -83,7 +83,7 @@ def in_seconds(numbered: Iterable[Numbered], report: StampReport) -> Iterator[Nu
             report.skip(line, "stamp is invalid")
 
 
-def _find_unit(messages: Sequence[Message]) -> float | None:
+def find_unit(messages: Sequence[Message]) -> float | None:
     """Return how many units of the stamps are in a second; None if the robot has to move for that."""
     if len(messages) < MIN_MESSAGES:
         return 1.0

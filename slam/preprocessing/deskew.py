@@ -16,7 +16,7 @@ from drivers.immutable import immutable
 from drivers.messages import Scan
 from features.normal_limits import NORMAL_LIMIT
 
-from ..bounds import MAX_MOUNT
+from ..bounds import MAX_MOUNT, MAX_TURN
 from ..config import LidarConfig
 from ..errors import MapError
 from ..geometry.pose_arrays import between_each, compose_each, unwrapped
@@ -68,8 +68,9 @@ def lidar_mount(scan: Scan, lidar: LidarConfig) -> se2.Pose:
         return np.array(lidar.mount)
     if scan.mount is None:
         return np.zeros(3)
-    if not (np.isfinite(scan.mount).all() and np.abs(scan.mount[:2]).max() <= MAX_MOUNT):
-        place = f"x {scan.mount[0]:g} m, y {scan.mount[1]:g} m"
+    x, y, heading = scan.mount.tolist()
+    if not (max(abs(x), abs(y)) <= MAX_MOUNT and abs(heading) <= MAX_TURN):  # also NaN
+        place = f"x {x:g} m, y {y:g} m, heading {heading:g} radians"
         raise MapError(f"no lidar is mounted at {place}, as these scans state; lidar.mount=[x,y,heading] corrects it")
     return scan.mount
 

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from drivers.messages import MAX_SPAN, GroundTruth, InitialPose, Message, Odometry, Scan, YawRate
+from drivers.messages import MAX_SPAN, MAX_TURN_PERIOD, GroundTruth, InitialPose, Message, Odometry, Scan, YawRate
+from drivers.recordings.stamp_units import MAX_STAMP
 
-from ..bounds import MAX_LENGTH, MAX_MAGNITUDE
-from ..errors import MessageError
+from ..bounds import MAX_LENGTH
+from ..errors import MapError, MessageError
 from ..geometry.segments import Floats
+from .unit_check import UnitCheck
 
 # Seconds by which a message may be earlier than the one before of its sensor. Origin: as in recordings, whose messages
 # are sorted within a second; more than the jitter of any stamps.
@@ -41,6 +43,7 @@ class MessageCheck:
         """`after` is the last stamp of the session that is continued, seconds; without one -inf."""
         self._after = after
         self._latest: dict[tuple[type, int], float] = {}  # stamp of the last message, by type and number of the lidar
+        self._units = UnitCheck()
 
     def checked(self, message: Message) -> Message:
         """Return a message whose arrays are of float64, converted from lists or other numbers if necessary.
@@ -48,7 +51,8 @@ class MessageCheck:
         Raises MessageError, with one line, if shapes contradict each other, if a number that must be known is not
         finite, if angles are not in radians and increasing, or if the stamp is more than MAX_STEP_BACK seconds earlier
         than that of the last message of the same type or of the session, or if the first stamp of a sensor is more than
-        MAX_APART from those of others. Later, the clock of all may be set.
+        MAX_APART from those of others. Later, the clock of all may be set. Raises it once if ranges are not in metres,
+        or stamps not in seconds, as soon as enough messages show it.
         """
         kind = type(message)
         if kind not in NAMES:
@@ -58,11 +62,18 @@ class MessageCheck:
         checked = _checked_content(message)
         sensor = _sensor(message)
         self._latest[sensor] = max(self._latest.get(sensor, -math.inf), float(message.stamp))
+        if (problem := self._units.add(checked)) is not None:
+            raise _error(checked, problem)
         return checked
+
+    def finish(self) -> None:
+        """Check a run that ends. Raises MapError if its messages are in wrong units, and this was not stated before."""
+        if (problem := self._units.at_end()) is not None:
+            raise MapError(problem)
 
     def _check_stamp(self, message: Message) -> None:
         stamp, name = message.stamp, NAMES[type(message)]
-        if not (_is_number(stamp) and abs(stamp) <= MAX_MAGNITUDE):
+        if not (_is_number(stamp) and abs(stamp) < MAX_STAMP):
             raise MessageError(f"{name}: the stamp must be a number of seconds, not {stamp!r}")
         if not isinstance(message, ORDERED):
             return
@@ -104,6 +115,9 @@ def _checked_scan(scan: Scan) -> Scan:
         raise _error(scan, "the angles must be finite; only ranges may be NaN")
     if not np.isfinite(offsets).all():
         raise _error(scan, "the time offsets must be finite; they are zeros if unknown")
+    if np.abs(offsets).max(initial=0.0) > MAX_TURN_PERIOD:
+        longest = f"up to {np.abs(offsets).max():g} s from the stamp to a beam"
+        raise _error(scan, f"{longest}, but no lidar turns as slowly; time offsets must be in seconds")
     if len(angles) > 1:
         _check_order(scan, angles)
     for name in ("range_min", "range_max"):

@@ -242,6 +242,8 @@ def test_a_recorded_mount_that_no_robot_has_is_refused() -> None:
     assert lidar_mount(replace(scan, mount=np.array([-1.5, 0.0, 3.0])), LidarConfig()).tolist() == [-1.5, 0.0, 3.0]
     for x in (250.0, math.nan):  # in millimetres, for example
         wrong = replace(scan, mount=np.array([x, 0.0, 0.0]))
-        with pytest.raises(MapError, match=rf"mounted at x {x:g} m, y 0 m, as these scans state; lidar\.mount="):
+        with pytest.raises(MapError, match=rf"mounted at x {x:g} m, y 0 m, .* as these scans state; lidar\.mount="):
             lidar_mount(wrong, LidarConfig())
         assert lidar_mount(wrong, LidarConfig(mount=(0.1, 0.0, 0.0))).tolist() == [0.1, 0.0, 0.0]
+    with pytest.raises(MapError, match="no lidar is mounted at x 0 m, y 0 m, heading 90 radians"):
+        lidar_mount(replace(scan, mount=np.array([0.0, 0.0, 90.0])), LidarConfig())

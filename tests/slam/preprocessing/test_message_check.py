@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from drivers.messages import GroundTruth, InitialPose, Message, Odometry, Scan, YawRate
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
-from slam.errors import MessageError
+from slam.errors import MapError, MessageError
 from slam.preprocessing.message_check import MAX_STEP_BACK, MessageCheck
 
 BEAMS = 8
@@ -32,6 +33,7 @@ def scan(**changes: Any) -> Scan:
         (scan(ranges=[[1.0], [1.0, 2.0]]), "ranges must be an array of numbers, not list"),
         (scan(time_offsets=None), "time_offsets must be an array of numbers, not NoneType"),
         (scan(time_offsets=SCAN.ranges * np.nan), "the time offsets must be finite"),
+        (scan(time_offsets=np.linspace(0.0, 100.0, BEAMS)), "up to 100 s from the stamp to a beam, .* in seconds"),
         (scan(angles=SCAN.angles * np.nan), "the angles must be finite"),
         (scan(angles=SCAN.angles[::-1]), "the angles must increase"),
         (scan(angles=np.degrees(SCAN.angles)), "the angles span 343.8, .* they must be in radians"),
@@ -41,7 +43,7 @@ def scan(**changes: Any) -> Scan:
         (scan(lidar=2), "the lidar must be 0, the first, or 1, the second, not 2"),
         (scan(stamp=np.nan), "scan: the stamp must be a number of seconds, not nan"),
         (scan(stamp="5"), "scan: the stamp must be a number of seconds, not '5'"),
-        (scan(stamp=1.7e18), "scan: the stamp must be a number of seconds"),
+        (scan(stamp=1.7e12), "scan: the stamp must be a number of seconds"),
         (Odometry(5.0, POSE[:2]), "odometry at 5.000 s: pose must be 3 numbers: x, y, heading; there are 2"),
         (Odometry(5.0, np.array([1.0, np.nan, 0.0])), r"the pose must be finite, .* not \[1.0, nan, 0.0\]"),
         (Odometry(5.0, np.array(["1", "2", "3"])), "pose must be an array of numbers"),
@@ -110,6 +112,69 @@ def test_the_clock_of_all_sensors_may_be_set_ahead_by_months() -> None:
     for stamp in (1.6e9, 1.7e9):
         check.checked(Odometry(stamp, POSE))
         check.checked(scan(stamp=stamp))
+
+
+def drive(duration: float = 12.0) -> list[Message]:
+    return [m for m in Simulation("room", duration=duration, lidar=LidarModel(beams=90)) if not is_truth(m)]
+
+
+def is_truth(message: Message) -> bool:
+    return isinstance(message, GroundTruth)
+
+
+def with_ranges(messages: list[Message], change: Callable[[Any], Any], **limits: float) -> list[Message]:
+    return [replace(m, ranges=change(m.ranges), **limits) if isinstance(m, Scan) else m for m in messages]
+
+
+IN_WRONG_UNITS = {
+    "millimetres": (lambda m: with_ranges(m, lambda r: 1000.0 * r), "nearly all ranges are beyond 100: .* in metres"),
+    "integers, zero without return": (
+        lambda m: with_ranges(m, lambda r: np.nan_to_num(1000.0 * r).astype(np.uint16), range_max=65535.0),
+        "nearly all ranges are beyond 100: .* divide millimetres by 1000",
+    ),
+    "milliseconds": (
+        lambda m: [replace(one, stamp=1e3 * one.stamp) for one in m],
+        "the stamps are in milliseconds, by the speed of the robot: they must be in seconds; divide by 1000",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", IN_WRONG_UNITS)
+def test_wrong_units_are_named_once_and_early(case: str) -> None:
+    change, problem = IN_WRONG_UNITS[case]
+    check, refused = MessageCheck(), []
+    messages = change(drive())
+    for index, message in enumerate(messages):
+        try:
+            check.checked(message)
+        except MessageError as error:
+            refused.append((index, str(error)))
+    ((index, text),) = refused
+    assert re.search(problem, text)
+    assert index < len(messages) / 2
+    check.finish()
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda ranges: 1000.0 * ranges, "nearly all ranges are beyond 100"),
+        (lambda ranges: ranges / 1000.0, r"no range of 9 scans is between range_min \(0.1\) and range_max \(40\)"),
+    ],
+)
+def test_the_end_of_a_short_run_names_wrong_units(change: Callable[[Any], Any], problem: str) -> None:
+    slam = Slam()
+    for message in with_ranges(drive(1.0), change):
+        slam.add(message)
+    with pytest.raises(MapError, match=problem):
+        slam.finish()
+
+
+def test_a_large_number_for_no_returns_is_no_unit() -> None:
+    check = MessageCheck()
+    for message in with_ranges(drive(), lambda ranges: np.where(np.arange(len(ranges)) % 20, 9999.0, ranges)):
+        check.checked(message)
+    check.finish()
 
 
 def test_a_run_goes_on_after_a_message_that_was_refused() -> None:
