@@ -21,9 +21,10 @@ if TYPE_CHECKING:
     from .config import Config, load_config
     from .errors import SlamError
     from .events import Event, Finished, Sink
-    from .mapped_recording import MappedRecording, run
+    from .mapped_recording import MappedRecording
     from .mapping.map_features import MapCorners, MapWalls
     from .pipeline import Slam
+    from .run_recording import run
     from .run_saving import save_run
     from .warmup import warm_up
 
@@ -54,7 +55,7 @@ _MODULES = {
     "Slam": "pipeline",
     "SlamError": "errors",
     "load_config": "config",
-    "run": "mapped_recording",
+    "run": "run_recording",
     "save_run": "run_saving",
     "warm_up": "warmup",
 }

@@ -1,4 +1,4 @@
-"""Map a recording with one call; the result displays itself in a notebook, and measures and draws itself."""
+"""Map and path of a recording as one object, which displays itself in a notebook, and measures and draws itself."""
 
 from __future__ import annotations
 
@@ -10,21 +10,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drivers import se2
 from drivers.immutable import immutable
-from drivers.messages import GroundTruth, Odometry, Source
+from drivers.messages import Source
 
 from .config import Config
-from .errors import MapError, OutputError
-from .evaluation.metrics import score_true_path
-from .events import Finished, Sink
+from .errors import OutputError
+from .events import Finished
 from .formatting import counted
 from .geometry.segments import Floats
 from .io.exports.svg import svg_text
 from .io.keyframes_csv import Keyframes
-from .io.recording_facts import RecordingFacts
-from .io.recording_timing import timed
-from .io.recordings import open_to_map, recording_to_reopen
+from .io.recordings import open_recording
 from .io.run_results import RunResults
 from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
@@ -34,11 +30,13 @@ from .measuring.measured_map import MeasuredMap
 from .measuring.measurement import Measurement
 from .measuring.rooms import Room, find_rooms
 from .measuring.wall_map import WallMap
+from .offline.map_diff.plan_report import PlanReport
 from .pipeline import Slam
 from .run_saving import save_run
 
 if TYPE_CHECKING:
     from .io.exports import Occupancy
+    from .io.sessions import Recording
 
 
 @immutable
@@ -53,7 +51,9 @@ class MappedRecording:
     source    recording as it was read
     reopen    argument of `drivers.open` that opens the recording again, from any working directory
     config    settings, without what the recording shows of the lidars
-    facts     on the recording, as in `summary.json`: gaps, timing, interpretations, doubts
+    facts     on the recording, as in `summary.json`: gaps, timing, interpretations, doubts, plan
+    shift     seconds that were added to stamps during the run, so that they follow those of the session that it used
+    on_plan   comparison of the map with the plan that it was made with; None without a plan
     """
 
     name: str
@@ -65,6 +65,8 @@ class MappedRecording:
     reopen: str
     config: Config
     facts: dict[str, Any]
+    shift: float = 0.0
+    on_plan: PlanReport | None = None
 
     @property
     def walls(self) -> MapWalls:
@@ -78,12 +80,14 @@ class MappedRecording:
 
     @property
     def stamps(self) -> Floats:
-        """Stamps (n,) of the path, seconds."""
-        return self.finished.stamps
+        """Stamps (n,) of the path, seconds: those of the recording, or of the session if that is continued."""
+        return self.finished.stamps if self.slam.extends_map else self.finished.stamps - self.shift
 
     @property
     def path(self) -> Floats:
-        """Poses (n, 3) of the base in the map: [x, y, heading], metres and radians."""
+        """Poses (n, 3) of the base in the map: [x, y, heading], metres and radians; first those of a session that was
+        continued, while a run that only localises has none but its own.
+        """
         return self.finished.poses
 
     @property
@@ -107,6 +111,11 @@ class MappedRecording:
         return list(self.facts["doubts"])
 
     @property
+    def plan_differences(self) -> list[str]:
+        """Differences from the plan, as lines of text; none if the map was not recognised in it (`facts["plan"]`)."""
+        return list(self.facts.get("plan", {}).get("differences", ()))
+
+    @property
     def summary(self) -> dict[str, Any]:
         """Counts, learned values, loop decisions and suspects, as in `summary.json` under `slam`."""
         return self.finished.summary
@@ -128,12 +137,17 @@ class MappedRecording:
         """Return the occupancy grid of all scans, with cells of `resolution` metres, as `wclm map --format pgm` does.
 
         `slam.io.exports.write_pgm` and `write_pgm_yaml` write it for ROS. Raises MapError if the grid would become too
-        large.
+        large, or if a recording of a session that was continued is missing.
         """
         from .io.exports import OccupancyGrid, place_scans
 
         grid = OccupancyGrid(resolution)
-        grid.add_all(place_scans(self.source, self.trajectory, self.slam.config))
+        earlier = [] if not self.slam.extends_map else self.slam.session.recordings
+        if earlier:
+            recordings = [one.model_dump() for one in [*earlier, self._recording]]
+            grid.add_all(place_scans(open_recording(self._results({"recordings": recordings})), self.trajectory))
+        else:
+            grid.add_all(place_scans(self.source, self.trajectory, self.slam.config))
         return grid.occupancy()
 
     def factor_graph(self) -> tuple[Any, Any]:
@@ -158,34 +172,21 @@ class MappedRecording:
 
     def save(self, directory: Path | str, *, overwrite: bool = False) -> None:
         """Write the output directory, as `wclm run --no-review` does: all commands read it. See `save_run`."""
-        from .io.sessions import Recording
-        from .io.sessions.records import to_pose
-
-        first, last = float(self.stamps[0]), float(self.stamps[-1])
-        recording = Recording(
-            name=self.name,
-            path=self.reopen,
-            first=first,
-            last=last,
-            recorded_stamps=self.source.report.recorded_stamps,
-            settings=self.slam.config,
-            lidars=[to_pose(mount) for mount in self.slam.lidar_mounts],
-        )
         save_run(
             self.slam,
             self.finished,
             directory,
             name=self.name,
-            recording=recording,
+            recording=self._recording,
             config=self.config,
             facts=self.facts,
+            on_plan=self.on_plan,
             overwrite=overwrite,
         )
 
     def svg(self, measurements: Sequence[Measurement] = ()) -> str:
         """Return a drawing of map and path in the scale 1 : 100, with dimension lines of measurements, as SVG."""
-        summary = {"recording": self.name, "slam": self.summary}
-        results = RunResults(Path(), self.walls, self.corners, self.trajectory, summary, self.keyframes)
+        results = self._results({"recording": self.name, "slam": self.summary})
         return svg_text(results, MeasuredMap(measurements))
 
     def _repr_svg_(self) -> str:
@@ -210,77 +211,32 @@ class MappedRecording:
         picture = b64encode(self.svg().encode()).decode()
         return f'<table>{cells}</table><img src="data:image/svg+xml;base64,{picture}" style="max-width: 100%">'
 
+    @property
+    def _recording(self) -> Recording:
+        """Entry of the recording in a session."""
+        from .io.sessions import Recording
+        from .io.sessions.records import to_pose
+
+        earlier = self.slam.session.recordings
+        stamps = self.finished.stamps
+        own = stamps[stamps > max((one.last for one in earlier), default=-np.inf)]
+        return Recording(
+            name=self.name,
+            path=self.reopen,
+            shift=self.shift,
+            first=float(own[0]),
+            last=float(own[-1]),
+            recorded_stamps=self.source.report.recorded_stamps,
+            settings=self.slam.config,
+            lidars=[to_pose(mount) for mount in self.slam.lidar_mounts],
+        )
+
+    def _results(self, summary: dict[str, Any]) -> RunResults:
+        return RunResults(Path(), self.walls, self.corners, self.trajectory, summary, self.keyframes)
+
     def __repr__(self) -> str:
         return f"<{self.name}: {self._sizes}, {self.trajectory.length:.1f} m driven>"
 
     @property
     def _sizes(self) -> str:
         return f"{counted(len(self.walls), 'wall')}, {counted(len(self.corners), 'corner')}"
-
-
-def run(
-    recording: Path | str, config: Config | None = None, *, refine: bool = False, sinks: Sequence[Sink] = ()
-) -> MappedRecording:
-    """Map a recording, a bag or a simulation, as `wclm run` does, without writing files.
-
-    recording  path, or a specification like `sim:office?seed=3`: see `drivers.open`
-    config     settings, also of the topics of the lidars; a delay of the lidar that the recording shows is compensated
-               if none is set, and a recording without odometry, or with one that is of no use, is mapped without it
-    refine     refine the whole map offline: more accurate, and slower
-    sinks      receive the events of the pipeline
-
-    Raises SlamError, with one line that names the place, if the recording cannot be read or mapped.
-    """
-    config = config or Config()
-    source, reason = open_to_map(recording, config)
-    if reason is not None:
-        config = config.without_odometry()
-    used, timing, second = timed(source, config)
-    slam, facts = Slam(used, sinks, refine=refine), RecordingFacts(timing, second)
-    odometry: list[se2.Pose] = []
-    truth: list[GroundTruth] = []
-    first = np.inf
-    for message in source:
-        facts.add(message)
-        first = min(first, message.stamp)
-        if isinstance(message, Odometry):
-            odometry.append(message.pose)
-        elif isinstance(message, GroundTruth):
-            truth.append(message)
-        slam.add(message)
-    try:
-        finished = slam.finish()
-    except MapError as error:
-        raise MapError(f"{source.name}: {error}") from error
-    return MappedRecording(
-        name=source.name,
-        finished=finished,
-        odometry=odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3)),
-        truth=_true_path(finished, truth, used),
-        slam=slam,
-        source=source,
-        reopen=recording_to_reopen(str(recording)),
-        config=config,
-        facts=_with_reason(facts.figures(source.report), reason),
-    )
-
-
-def _with_reason(facts: dict[str, Any], reason: str | None) -> dict[str, Any]:
-    """Return facts on a recording with the reason why it was mapped by the scans alone, if it was."""
-    if reason is None:
-        return facts
-    return facts | {"interpretations": [*facts["interpretations"], f"{reason}; mapped by the scans alone"]}
-
-
-def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:
-    """Return the odometry poses (m, 3) of a run that began at the stamp `first`, in the map: from the same start."""
-    start = min(int(np.searchsorted(finished.stamps, first)), len(finished.poses) - 1)
-    return se2.compose(finished.poses[start], se2.between(poses[0], poses))
-
-
-def _true_path(finished: Finished, truth: Sequence[GroundTruth], config: Config) -> Trajectory | None:
-    """Return the true path in the map; None if there is none at the time of the path."""
-    if not truth:
-        return None
-    stated = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    return score_true_path(Trajectory(finished.stamps, finished.poses), stated, config.lidar.delay)[1]

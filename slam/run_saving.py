@@ -19,6 +19,7 @@ from .reporting.summary import summarise
 if TYPE_CHECKING:
     from .config import Config
     from .io.sessions import Recording
+    from .offline.map_diff.plan_report import PlanReport
     from .pipeline import Slam
 
 
@@ -31,6 +32,7 @@ def save_run(
     recording: Recording | None = None,
     config: Config | None = None,
     facts: Mapping[str, Any] | None = None,
+    on_plan: PlanReport | None = None,
     overwrite: bool = False,
 ) -> None:
     """Write the output directory of a run that has ended, as `wclm run` does, without the review log.
@@ -44,6 +46,7 @@ def save_run(
                grid drawn from them
     config     settings that are written, without what the recording shows of the lidars; by default those of the run
     facts      additional entries of summary.json
+    on_plan    comparison with the plan that the map was made with, whose differences are written, too
     overwrite  replace earlier results
 
     `slam.io.run_results.read_run_results` reads the results, `slam.io.sessions.read_session` what `Slam(resumed=...)`
@@ -80,4 +83,6 @@ def save_run(
         if pipeline.extends_map:
             write_session(place, session)
         write_results(place, finished, config or pipeline.config, summary)
+        if on_plan is not None:
+            on_plan.write(place)
         write_page(place / REPORT, read_run_results(place))

@@ -5,21 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
-from drivers.immutable import immutable
-
+from ..run_setup import PlanDrawing, is_plan, read_plan_map
 from .console import print_if_slow, print_message
 
 if TYPE_CHECKING:
     from ..config import Config
     from ..io.plans.units import Unit
     from ..mapping.plan_map import PlanMap
-    from ..measuring.wall_map import WallGeometry
-    from ..offline.map_diff import MapDiff
-    from ..pipeline import Slam
 
 READING_PLAN = "reading the plan"
 
@@ -37,11 +33,16 @@ class PlanOptions:
     unit: Unit | None = None
     layers: Sequence[str] = ()
 
+    @property
+    def drawing(self) -> PlanDrawing:
+        """How the plan is read."""
+        return PlanDrawing(self.unit, self.layers)
+
     def check(self, session: Path | None) -> None:
         """Check the options together with the `session` of other options. Raises BadParameter."""
         if self.path is not None and session is not None:
             raise typer.BadParameter("cannot be combined with --continue or --localize", param_hint="--plan")
-        if self.path is None and (self.unit is not None or self.layers) and not (session and is_plan(session)):
+        if self.path is None and self.drawing.is_stated and not (session and is_plan(session)):
             raise typer.BadParameter("no plan is given", param_hint="--plan-unit / --plan-layer")
 
 
@@ -49,69 +50,10 @@ NO_PLAN = PlanOptions()
 """Options of a run without a plan."""
 
 
-def is_plan(path: Path) -> bool:
-    """Return True if a path names a plan, and not the output directory of a run."""
-    from ..io.plans.reader import is_plan_file
-
-    return is_plan_file(path)
-
-
 def load_plan(path: Path, options: PlanOptions, config: Config) -> PlanMap:
-    """Read a plan, and print what had to be assumed. Raises SlamError naming the file."""
-    from ..io.plans.reader import read_plan
-    from ..mapping.plan_map import build_plan_map
-
+    """Read a plan, and print its size and what had to be assumed. Raises SlamError naming the file."""
     with print_if_slow(READING_PLAN):
-        plan = read_plan(path, options.unit, options.layers)
-        plan_map = build_plan_map(plan, (config.plan.sigma_offset, config.plan.sigma_heading))
-    for note in plan.notes:
-        print_message(f"{path}: {note}")
-    width, height = plan.size
-    print_message(f"{path}: {len(plan_map.walls)} walls, {width:.1f} m x {height:.1f} m")
+        plan_map, notes = read_plan_map(path, options.drawing, config)
+    for note in notes:
+        print_message(note)
     return plan_map
-
-
-@immutable
-class PlanReport:
-    """Comparison of the finished map of a run with its plan.
-
-    summary      for summary.json
-    differences  None if the map was not recognised in the plan
-    """
-
-    summary: dict[str, Any]
-    differences: MapDiff | None
-    plan: WallGeometry | None = None
-    built: WallGeometry | None = None
-
-    def write(self, directory: Path) -> None:
-        """Write the differences as GeoJSON and as a picture into the output directory. Raises OSError."""
-        if self.differences is None or self.plan is None or self.built is None:
-            return
-        from ..io.output_dir import PLAN_DIFFERENCES, PLAN_PICTURE
-        from ..offline.map_diff.corners import corner_changes
-        from ..offline.map_diff.outputs import write_diff_geojson, write_diff_svg
-
-        corners = corner_changes(self.differences, self.plan, self.built)
-        write_diff_geojson(directory / PLAN_DIFFERENCES, self.differences, corners)
-        write_diff_svg(directory / PLAN_PICTURE, self.differences, self.plan, self.built)
-
-
-def report_on_plan(plan_map: PlanMap, slam: Slam) -> PlanReport:
-    """Compare the finished map of a run with its plan."""
-    from ..offline.map_diff.outputs import difference_lines
-    from ..offline.map_diff.plan import compare_with_plan, survey_plan
-
-    state = slam.slam_state
-    recognised = state.plan is not None and state.plan.recognised
-    summary: dict[str, Any] = {"file": plan_map.plan.name, "walls": len(plan_map.walls), "recognised": recognised}
-    if not recognised:
-        return PlanReport(summary, None)
-    survey = survey_plan(plan_map)
-    differences, built = compare_with_plan(survey, state, slam.session)
-    summary |= {
-        "supported": len(state.mapper.graph.plan_walls()),
-        "differences": difference_lines(differences),
-        "same": differences.same,
-    }
-    return PlanReport(summary, differences, survey.wall_map, built)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -92,10 +92,7 @@ class RecordingInput:
 
     def resolve(self, config: Config) -> Config:
         """Return the settings with each lidar's delay that the recording shows, if none is set."""
-        config, timing, second = timed(self._source, config)
-        if self._earlier_mount is not None and timing.mount_unknown and timing.used_heading is None:
-            config = config.with_mount(self._earlier_mount)
-            timing = replace(timing, mount_unknown=False, earlier_mount=self._earlier_mount)
+        config, timing, second = timed(self._source, config, self._earlier_mount)
         self._facts = RecordingFacts(timing, second)
         return config
 

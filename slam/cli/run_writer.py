@@ -24,9 +24,8 @@ from ..io.run_results import write_results
 from ..io.tum import Trajectory
 from ..memory import return_code_of_imports, return_freed_memory
 from ..reporting.summary import RunTimes
-from .plan_input import report_on_plan
+from ..run_setup import RunSetup
 from .run_input import InputStatistics, RunInput
-from .run_setup import RunSetup
 from .run_summary import summarise_run
 
 if TYPE_CHECKING:
@@ -89,7 +88,11 @@ class RunWriter:
         extended, mounts = slam.extends_map, slam.lidar_mounts
         summary = self._summarise(finished, slam.session, slam.config, score, times, extended, mounts)
         summary["review"] = left_out
-        on_plan = None if self.setup.plan is None else report_on_plan(self.setup.plan, slam)
+        on_plan = None
+        if self.setup.plan is not None:
+            from ..offline.map_diff.plan_report import report_on_plan
+
+            on_plan = report_on_plan(self.setup.plan, slam)
         if on_plan is not None:
             summary["plan"] = on_plan.summary
 
@@ -181,7 +184,7 @@ def _draw(
     title: str,
     recordings: Sequence[Mapping[str, Any]],
 ) -> None:
-    from ..mapped_recording import odometry_path
+    from ..run_recording import odometry_path
     from ..visualisation.plots import plot_map
 
     odometry: Floats | None = None

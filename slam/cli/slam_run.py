@@ -16,7 +16,6 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Message
-from drivers.timestamps import follows
 from drivers.timing.watched_view import watched
 
 from ..config import Config, config_to_toml
@@ -26,7 +25,7 @@ from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
-from ..odometry.continuity import MAX_BREAK
+from ..run_setup import RunSetup, shift_after
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
@@ -34,7 +33,6 @@ from .left_behind import print_left_behind
 from .notice_collector import NoticeCollector
 from .run_controls import RunControls
 from .run_input import InputStatistics, RunInput
-from .run_setup import RunSetup
 from .run_summary import RunResult
 from .run_writer import RunWriter
 
@@ -203,14 +201,6 @@ def _shifted(messages: Iterable[Message], after: float, statistics: InputStatist
         if statistics.first == np.inf:
             statistics.shift = shift_after(message.stamp, after)
         yield replace(message, stamp=message.stamp + statistics.shift) if statistics.shift else message
-
-
-def shift_after(first: float, after: float) -> float:
-    """Return the seconds by which stamps are shifted if the first one does not follow `after`, else zero.
-
-    Such stamps do not tell what happened in between: they follow so late that no run seems to have been interrupted.
-    """
-    return 0.0 if first == after or follows(first, after) else float(np.ceil(after - first)) + MAX_BREAK + 1.0
 
 
 def process_messages(

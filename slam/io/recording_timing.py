@@ -196,10 +196,18 @@ def mounted_as_in_session(mount: tuple[float, float, float]) -> str:
     return f"lidar mounted at {place}, as in the session, as no mount is stated"
 
 
-def timed(source: Source, config: Config) -> tuple[Config, RecordingTiming, RecordingTiming | None]:
-    """Return the settings with each lidar's delay that a source shows, if none is set, and the timing of each lidar."""
+def timed(
+    source: Source, config: Config, earlier_mount: tuple[float, float, float] | None = None
+) -> tuple[Config, RecordingTiming, RecordingTiming | None]:
+    """Return the settings with each lidar's delay that a source shows, if none is set, and the timing of each lidar.
+
+    earlier_mount  of the lidar in the session that the run uses, which is probably the same: used if nothing states it
+    """
     first = RecordingTiming.of(source, config.lidar)
     config = first.compensated(config)
+    if earlier_mount is not None and first.mount_unknown and first.used_heading is None:
+        config = config.with_mount(earlier_mount)
+        first = replace(first, mount_unknown=False, earlier_mount=earlier_mount)
     second = RecordingTiming.of_second(source, config.second_lidar)
     if second is None:
         return config, first, None

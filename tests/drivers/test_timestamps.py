@@ -7,7 +7,7 @@ import math
 import pytest
 
 from drivers.timestamps import follows
-from slam.cli.slam_run import shift_after
+from slam.run_setup import shift_after
 
 
 @pytest.mark.parametrize(

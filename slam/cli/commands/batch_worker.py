@@ -17,8 +17,9 @@ from drivers.errors import SlamError
 from ...io.recordings import open_to_map
 from ...offline.batch import Job, Row, Status, fingerprint, make_row, read_completed_summary, remove_leftovers
 from ...offline.batch.jobs import FINGERPRINT
+from ...run_setup import RunSetup
 from ..run_input import RecordingInput
-from ..run_setup import RunSetup, without_odometry
+from ..run_setup import without_odometry
 from ..run_summary import format_summary
 from ..slam_run import run_slam
 

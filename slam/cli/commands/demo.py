@@ -45,8 +45,8 @@ def demo(
     from ...config import Config
     from ...io.output_dir import CLOSURE_PICTURE
     from ...io.unfinished_file import unfinished_file
+    from ...run_setup import RunSetup
     from ..run_input import RecordingInput
-    from ..run_setup import RunSetup
     from ..run_summary import format_summary
     from ..slam_run import run_slam
     from ..viewer import has_display, open_viewer, viewer_command

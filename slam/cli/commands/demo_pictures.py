@@ -245,8 +245,8 @@ def _map(
 
     from ...config import Config
     from ...io.recordings import absolute_recording
+    from ...run_setup import RunSetup
     from ..run_input import RecordingInput
-    from ..run_setup import RunSetup
     from ..slam_run import run_slam
 
     recorder = EventRecorder()

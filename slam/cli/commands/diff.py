@@ -95,7 +95,8 @@ def _surveys(old: Path, new: Path, on_plan: PlanOptions, searched: bool) -> tupl
     from ...io.sessions import read_session
     from ...offline.map_diff import survey_session
     from ...offline.map_diff.plan import survey_plan
-    from ..plan_input import is_plan, load_plan
+    from ...run_setup import is_plan
+    from ..plan_input import load_plan
     from ..run_setup import READING_SESSION
 
     with print_if_slow(READING_SESSION):

@@ -48,8 +48,8 @@ if TYPE_CHECKING:
 
     from ...config import LidarConfig
     from ...ros.parameters import NodeParameters
+    from ...run_setup import RunSetup
     from ..plan_input import PlanOptions
-    from ..run_setup import RunSetup
     from .ros_node import RosNode
 
 

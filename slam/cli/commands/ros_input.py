@@ -11,9 +11,9 @@ from drivers.ros2.receiver import MAX_WAITING_SCANS, NO_MOUNT, PAUSED, THROTTLED
 
 from ...preprocessing.deskew import lidar_mount
 from ...ros.run_control import Restart, RestartRequestedError, Save, SetMode
+from ...run_setup import RunSetup, shift_after
 from ..acquisition_loop import receive_messages, stop_on_signals
 from ..console import print_message
-from ..slam_run import shift_after
 
 if TYPE_CHECKING:
     from drivers.messages import Message
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ...ros.outputs import NodeOutputs
     from ...ros.run_control import RunControl
     from ..mode_switch import ModeSwitch
-    from ..run_setup import RunSetup
 
 EXPECTED = (PAUSED, THROTTLED, NO_MOUNT)
 """Reasons for which messages are dropped that the user has set, or that are named in another way."""

@@ -14,10 +14,10 @@ from ...errors import MapError
 from ...io.output_dir import OutputDirectory
 from ...io.sessions import read_session
 from ...ros.run_control import Restart, RestartRequestedError, RunControl, Save
+from ...run_setup import RunSetup
 from ..console import print_message
 from ..mode_switch import ModeSwitch
 from ..run_controls import RunControls
-from ..run_setup import RunSetup
 from ..run_summary import format_summary
 from ..slam_run import run_slam
 from ..switch_interval import short_switch_interval

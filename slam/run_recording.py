@@ -1,0 +1,160 @@
+"""Map a recording with one call, as `wclm run` does, without writing files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drivers import se2
+from drivers.messages import GroundTruth, Odometry
+
+from .config import Config, load_config
+from .errors import MapError
+from .evaluation.metrics import score_true_path
+from .events import Finished, Sink
+from .geometry.segments import Floats
+from .io.plans.units import Unit
+from .io.recording_facts import RecordingFacts
+from .io.recording_timing import timed
+from .io.recordings import open_to_map, reason_without_odometry, recording_to_reopen
+from .io.tum import Trajectory
+from .mapped_recording import MappedRecording
+from .offline.map_diff.plan_report import report_on_plan
+from .pipeline import Slam
+from .run_setup import PlanDrawing, prepare_run, shift_after
+
+
+def run(
+    recording: Path | str,
+    config: Config | None = None,
+    *,
+    refine: bool = False,
+    sinks: Sequence[Sink] = (),
+    continue_: Path | str | None = None,
+    localize: Path | str | None = None,
+    plan: Path | str | None = None,
+    plan_unit: str | None = None,
+    plan_layer: Sequence[str] = (),
+    start: Sequence[float] | Floats | None = None,
+) -> MappedRecording:
+    """Map a recording, a bag or a simulation, as `wclm run` does with the options of the same names; write no files.
+
+    recording   path, or a specification like `sim:office?seed=3`: see `drivers.open`
+    config      settings, also of the topics of the lidars; a delay of the lidar that the recording shows is compensated
+                if none is set, and a recording without odometry, or with one that is of no use, is mapped without it.
+                By default those of the session that is continued or localised on, if there is one
+    refine      refine the whole map offline: more accurate, and slower
+    sinks       receive the events of the pipeline
+    continue_   output directory of an earlier run, whose map is extended from wherever the robot is in it
+    localize    map to localise on without changing it: output directory of an earlier run, or a plan
+    plan        plan of the building whose walls help mapping; the map is in its frame
+    plan_unit   unit of length of a drawing: m, cm, mm, ft or in; by default as it states, else metres
+    plan_layer  layers of a DXF drawing with walls; all if there is none
+    start       with one of the three: roughly where the robot starts in the map, [x, y, heading] (metres, radians)
+
+    Raises SlamError, with one line that names the place, if the recording cannot be read or mapped.
+    """
+    if refine and localize is not None:
+        raise MapError("a run that only localises does not extend the map, so there is nothing to refine")
+    setup = prepare_run(
+        lambda stored: config or load_config(stored),
+        None if continue_ is None else Path(continue_),
+        None if localize is None else Path(localize),
+        None if plan is None else Path(plan),
+        None if start is None else _start_pose(start),
+        PlanDrawing(None if plan_unit is None else _unit(plan_unit), plan_layer),
+    )
+    config, notes = setup.config, list(setup.notes)
+    source, reason = open_to_map(recording, config)
+    if reason is not None:
+        config = config.without_odometry()
+        notes.append(f"{reason}; mapped by the scans alone")
+    elif setup.leaves_out_odometry and reason_without_odometry(source) is None:
+        notes.append("odometry is not used, as the session was mapped without")
+    resumed = setup.resumed
+    used, timing, second = timed(source, config, None if resumed is None else resumed.last_mount)
+    slam = Slam(
+        used,
+        sinks,
+        refine=refine,
+        keep_all_features=True,
+        resumed=resumed,
+        frozen=setup.frozen,
+        start=setup.pose,
+        plan=setup.plan,
+    )
+    facts = RecordingFacts(timing, second)
+    odometry: list[se2.Pose] = []
+    truth: list[GroundTruth] = []
+    first, shift = np.inf, 0.0
+    for read in source:
+        facts.add(read)
+        if first == np.inf and resumed is not None:
+            shift = shift_after(read.stamp, resumed.latest)
+        message = replace(read, stamp=read.stamp + shift) if shift else read
+        first = min(first, message.stamp)
+        if isinstance(message, Odometry):
+            odometry.append(message.pose)
+        elif isinstance(message, GroundTruth):
+            truth.append(message)
+        slam.add(message)
+    try:
+        finished = slam.finish()
+    except MapError as error:
+        raise MapError(f"{source.name}: {error}") from error
+    on_plan = None if setup.plan is None else report_on_plan(setup.plan, slam)
+    figures = facts.figures(source.report)
+    figures["interpretations"] += notes
+    return MappedRecording(
+        name=source.name,
+        finished=finished,
+        odometry=odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3)),
+        truth=_true_path(finished, truth, used, 0.0 if slam.extends_map else shift),
+        slam=slam,
+        source=source,
+        reopen=recording_to_reopen(str(recording)),
+        config=config,
+        facts=figures if on_plan is None else figures | {"plan": on_plan.summary},
+        shift=shift,
+        on_plan=on_plan,
+    )
+
+
+def _start_pose(start: Sequence[float] | Floats) -> se2.Pose:
+    """Return a start pose as an array. Raises MapError if it is not three numbers."""
+    try:
+        pose = np.array(start, dtype=np.float64)
+    except (TypeError, ValueError):
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise MapError(f"start: {start!r}: must be three numbers, e.g. [1.5, -2, 3.14]")
+    return pose
+
+
+def _unit(name: str) -> Unit:
+    """Return a unit of length by its name. Raises MapError if there is none."""
+    try:
+        return Unit(name)
+    except ValueError as error:
+        raise MapError(f"plan_unit: {name!r}: must be one of {', '.join(Unit)}") from error
+
+
+def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:
+    """Return the odometry poses (m, 3) of a run that began at the stamp `first`, in the map: from the same start."""
+    start = min(int(np.searchsorted(finished.stamps, first)), len(finished.poses) - 1)
+    return se2.compose(finished.poses[start], se2.between(poses[0], poses))
+
+
+def _true_path(finished: Finished, truth: Sequence[GroundTruth], config: Config, shift: float) -> Trajectory | None:
+    """Return the true path in the map; None if there is none at the time of the path.
+
+    shift  seconds that are subtracted from its stamps
+    """
+    if not truth:
+        return None
+    stated = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
+    path = score_true_path(Trajectory(finished.stamps, finished.poses), stated, config.lidar.delay)[1]
+    return path if path is None or not shift else Trajectory(path.stamps - shift, path.poses)
