@@ -83,6 +83,7 @@ DurationOption = Annotated[
         help="Seconds after the devices have started; by default until Ctrl-C.",
     ),
 ]
+TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE.tum", help="File for the true trajectory.")]
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace existing output.")]
 ContinueOption = Annotated[
     Path | None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..options import DurationOption, WorldArgument
+from ..options import DurationOption, TruthOption, WorldArgument
 
 if TYPE_CHECKING:
     from drivers.emulator import Emulator, EmulatorSetup
@@ -38,7 +38,6 @@ DriveOption = Annotated[
     ),
 ]
 SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of the sensor noise and the faults.")]
-TruthOption = Annotated[Path | None, typer.Option("--truth", metavar="FILE.tum", help="File for the true trajectory.")]
 ReportOption = Annotated[
     Path | None, typer.Option("--report", metavar="FILE.json", help="File for counts of measurements and faults.")
 ]

@@ -48,20 +48,29 @@ def evaluate(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON instead of text.")] = False,
 ) -> None:
-    """Score a trajectory against relations or a reference trajectory.
+    """Score a trajectory against relations, a reference trajectory, or the ground truth in its recording.
+
+    The output directory of a run needs neither option if the recording has ground truth, as those of `wclm simulate`.
 
     Exit status 1 if some relations lie outside the trajectory's time.
 
     Example: [bold]wclm eval out --relations intel.relations[/bold]
     """
-    if (relations is None) == (reference is None):
-        raise typer.BadParameter("exactly one of the two is required", param_hint="--relations / --reference")
+    if relations is not None and reference is not None:
+        raise typer.BadParameter("only one of the two can be given", param_hint="--relations / --reference")
+    if relations is None and reference is None and not trajectory.is_dir():
+        text = (
+            "one of the two is required, unless the trajectory is an output directory, whose recording may have truth"
+        )
+        raise typer.BadParameter(text, param_hint="--relations / --reference")
     if recording is not None and relations is None:
         raise typer.BadParameter("is for relations only", param_hint="--recording")
     if relations is not None:
         _against_relations(trajectory, relations, recording, plot, as_json)
     elif reference is not None:
-        _against_reference(trajectory, reference, plot, as_json)
+        _against_reference(trajectory, _read(trajectory), reference, _read(reference), plot, as_json)
+    else:
+        _against_reference(trajectory, *_with_ground_truth(trajectory), plot, as_json)
 
 
 def _read(path: Path) -> Trajectory:
@@ -133,10 +142,32 @@ def _fit_figures(results: Path, path: Trajectory, relations: Relations, recordin
     return compare_fits(path, relations, mounted).figures()
 
 
-def _against_reference(trajectory: Path, reference: Path, plot: Path | None, as_json: bool) -> None:
+def _with_ground_truth(out: Path) -> tuple[Trajectory, Path, Trajectory]:
+    """Return the path of a run, the name of its recordings, and the true path in them. Raises MapError without one."""
+    import numpy as np
+
+    from drivers.messages import GroundTruth
+
+    from ...errors import MapError
+    from ...io.recordings import open_recording
+    from ...io.run_results import read_run_results
+    from ...io.tum import Trajectory
+
+    results = read_run_results(out)
+    source, delay = open_recording(results), results.settings_as_used(results.recordings()[-1]).lidar.delay
+    truth = [message for message in source if isinstance(message, GroundTruth)]
+    if not truth:
+        raise MapError(f"{out}: {source.name} has no ground truth; name --reference or --relations")
+    stamps = np.array([one.stamp for one in truth]) + (delay or 0.0)  # on the clock of the lidar, as the path is
+    return results.trajectory, Path(source.name), Trajectory(stamps, np.array([one.pose for one in truth]))
+
+
+def _against_reference(
+    trajectory: Path, path: Trajectory, reference: Path, true: Trajectory, plot: Path | None, as_json: bool
+) -> None:
     from ...evaluation.metrics import score_reference
 
-    score = score_reference(_read(trajectory), _read(reference))
+    score = score_reference(path, true)
     figures = score.figures()
     if as_json:
         typer.echo(json.dumps(figures))

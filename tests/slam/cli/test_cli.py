@@ -269,7 +269,7 @@ def test_invalid_recordings_are_one_line_errors(
     ("command", "words"),
     [
         ("eval", "Missing argument 'TRAJECTORY'"),
-        ("eval a.tum", "exactly one of the two is required"),
+        ("eval a.tum", "one of the two is required, unless"),
         ("bench nothing", "No such command 'nothing'"),
         ("run a.clf --bogus", "No such option: --bogus"),
         ("run a.clf --out", "Option '--out' requires an argument"),

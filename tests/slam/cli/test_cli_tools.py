@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import drivers
-from drivers import Scan
+from drivers import GroundTruth, Scan
 from drivers.recordings.mcap import McapWriter
+from drivers.simulation import Simulation
 from slam.io.output_dir import TRAJECTORY
 
 SHORT = "sim:room?duration=3&lidar=short"
@@ -149,6 +150,34 @@ def test_eval_scores_against_a_reference(wclm: Any, tmp_path: Path) -> None:
     assert json.loads(result.stdout)["ate_rmse"] == pytest.approx(0.005, rel=0.01)
     assert (tmp_path / "a.png").exists()
     assert "20 at common times" in wclm("eval", "a.tum", "--reference", "truth.tum").stdout
+
+
+def test_a_simulated_drive_is_scored_by_its_own_truth(wclm: Any, tmp_path: Path) -> None:
+    """That is in the recording, and in a file if one is named."""
+    simulated = wclm("simulate", "room", "a.mcap", "--duration", "5", "--truth", "truth.tum")
+    assert simulated.exit_code == 0, simulated.output
+    assert wclm("run", "a.mcap", "--out", "map", "--no-review").exit_code == 0
+    own, of_file = (wclm("eval", "map", *more, "--json") for more in ((), ("--reference", "truth.tum")))
+    assert own.exit_code == 0, own.output
+    figures = json.loads(own.stdout)
+    assert figures["ate_rmse"] < 0.02
+    assert figures == pytest.approx(json.loads(of_file.stdout), abs=1e-5)
+    recorded = json.loads((tmp_path / "map" / "summary.json").read_text())["truth"]
+    assert figures["ate_rmse"] == pytest.approx(recorded["ate_rmse"], abs=1e-5)
+    assert wclm("run", "a.mcap", "--continue", "map", "--out", "longer", "--no-review").exit_code == 0
+    assert json.loads(wclm("eval", "longer", "--json").stdout)["ate_rmse"] < 0.05
+    wclm.refuses("eval", "truth.tum", because=["one of the two is required, unless"])
+    wclm.refuses("simulate", "room", "b.mcap", "--truth", "truth.tum", because=["truth.tum: exists already"])
+    assert not (tmp_path / "b.mcap").exists()
+
+
+def test_eval_needs_a_reference_for_a_recording_without_truth(wclm: Any, tmp_path: Path) -> None:
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        for message in Simulation("room", duration=2.0):
+            if not isinstance(message, GroundTruth):
+                writer.write(message)
+    assert wclm("run", "a.mcap", "--out", "map", "--no-review").exit_code == 0
+    wclm.refuses("eval", "map", because=["map: a.mcap has no ground truth; name --reference or --relations"])
 
 
 @pytest.mark.usefixtures("scored")
