@@ -64,7 +64,7 @@ def run(
         None if continue_ is None else Path(continue_),
         None if localize is None else Path(localize),
         None if plan is None else Path(plan),
-        None if start is None else _start_pose(start),
+        None if start is None else _initial_pose(start),
         PlanDrawing(None if plan_unit is None else _unit(plan_unit), plan_layer),
     )
     config, notes = setup.config, list(setup.notes)
@@ -123,8 +123,8 @@ def run(
     )
 
 
-def _start_pose(start: Sequence[float] | Floats) -> se2.Pose:
-    """Return a start pose as an array. Raises MapError if it is not three numbers."""
+def _initial_pose(start: Sequence[float] | Floats) -> se2.Pose:
+    """Return an initial pose as an array. Raises MapError if it is not three numbers."""
     try:
         pose = np.array(start, dtype=np.float64)
     except (TypeError, ValueError):

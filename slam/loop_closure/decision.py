@@ -1,4 +1,4 @@
-"""Decision on a loop closure candidate."""
+"""Decision on a loop closure."""
 
 from __future__ import annotations
 

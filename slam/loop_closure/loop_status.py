@@ -1,4 +1,4 @@
-"""Status of a loop closure candidate."""
+"""Status of a loop."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class LoopStatus(StrEnum):
-    """Status of a loop closure candidate; the values are written to files."""
+    """Status of a loop; the values are written to files."""
 
     REJECTED = "rejected"
     """Not closed: a check failed, such as the number of looks that agree, or the map did not fit together then."""

@@ -88,7 +88,7 @@ def test_a_plan_is_mapped_with(wclm: Any, session: Path, tmp_path: Path) -> None
     [
         ({"continue_": "a", "localize": "b"}, "only one of these"),
         ({"continue_": "a", "plan": "b"}, "only one of these"),
-        ({"start": [0.0, 0.0, 0.0]}, "a start pose needs a map"),
+        ({"start": [0.0, 0.0, 0.0]}, "an initial pose .start. needs a map"),
         ({"plan": "a.dxf", "start": [0.0, 0.0]}, "must be three numbers"),
         ({"plan_layer": ["walls"]}, "no plan is given"),
         ({"plan": "a.dxf", "plan_unit": "mile"}, f"'mile': must be one of {', '.join(Unit)}"),

@@ -65,7 +65,7 @@ class DecisionLayer:
 
     def log_initial(self) -> None:
         """Log that there is no decision yet."""
-        self._writer.log("loops/report", _markdown("No loop candidate yet."))
+        self._writer.log("loops/report", _markdown("No loop decision yet."))
 
     def log(self, event: LoopDecided, number: int, pose: se2.Pose, fit: float) -> None:
         """Log a decision with its running `number`, the keyframe's `pose` and the graph's chi² / dof."""
