@@ -41,7 +41,7 @@ from .reporting.run_statistics import RunStatistics, run_summary
 from .reporting.scan_report import ScanReport
 from .run_end import is_unknown_place, map_alone, publish_run, settle_plan, settle_trajectory
 from .run_session import RunSession, RunSnapshot
-from .run_start import continued_state, new_state, start_journal, start_preprocessor
+from .run_start import check_arguments, continued_state, initial_pose, new_state, start_journal, start_preprocessor
 
 if TYPE_CHECKING:
     from .io.sessions import StoredSession
@@ -66,7 +66,7 @@ class Slam:
         loops: LoopAgreement | None = None,
         resumed: StoredSession | None = None,
         frozen: bool = False,
-        start: se2.Pose | None = None,
+        start: Sequence[float] | Floats | None = None,
         plan: PlanMap | None = None,
     ) -> None:
         """Create an empty map, or continue a session.
@@ -84,13 +84,15 @@ class Slam:
         plan               plan of the building: once the map is recognised in it, it is in the plan's frame, and walls
                            that agree with the plan are supported by it. Not with `resumed`
         """
+        check_arguments(config, sinks, resumed, plan)
         if plan is not None and resumed is not None:
             raise MapError("a plan cannot be used together with a session that is continued")
         if resumed is None and (frozen or (start is not None and plan is None)):
             raise MapError("there is no map for `frozen` or `start`: they require a session, or `start` a plan")
         if refine and resumed is not None and (changes := fragile_changes(resumed.slam_state.mapper)):
             raise MapError(f"the session to continue has {changes}, which a refinement would drop")
-        self._initial_pose = start if plan is None else None
+        placed = None if start is None else initial_pose(start)
+        self._initial_pose = placed if plan is None else None
         self.config = config or (Config() if resumed is None else resumed.config_to_continue)
         self._refine, self._extends_map = refine, not frozen
         self._publisher = Publisher(sinks)
@@ -100,7 +102,7 @@ class Slam:
         self._session: StoredSession | None = None
         self._preprocessor = start_preprocessor(self.config, resumed)
         if resumed is None:
-            self._estimator = Estimator(new_state(self.config, loops, plan, start))
+            self._estimator = Estimator(new_state(self.config, loops, plan, placed))
         else:
             self._estimator = Estimator(continued_state(self.config, resumed))
         self._journal = start_journal(resumed, keep_all_features=refine or keep_all_features)
@@ -417,6 +419,8 @@ class Slam:
         if not self._is_unknown_place:
             return
         if not self._extends_map:
-            raise MapError("the robot was never relocalised in the map of the session")
+            raise MapError(
+                "the robot was never relocalised in the map of the session; state roughly where it starts (start)"
+            )
         self._stored.earlier = None
         self._estimator = map_alone(self.config, self._journal, self._statistics, self._publisher)

@@ -16,6 +16,7 @@ from .errors import MapError
 from .evaluation.metrics import score_true_path
 from .events import Finished, Sink
 from .geometry.segments import Floats
+from .io.output_dir import refuse_results
 from .io.plans.units import Unit
 from .io.recording_facts import RecordingFacts
 from .io.recording_timing import timed
@@ -25,6 +26,7 @@ from .mapped_recording import MappedRecording
 from .offline.map_diff.plan_report import report_on_plan
 from .pipeline import Slam
 from .run_setup import PlanDrawing, prepare_run, shift_after
+from .run_start import check_arguments, initial_pose
 
 
 def run(
@@ -59,16 +61,17 @@ def run(
     """
     if refine and localize is not None:
         raise MapError("a run that only localises does not extend the map, so there is nothing to refine")
+    check_arguments(config, sinks, None, None)
     setup = prepare_run(
         lambda stored: config or load_config(stored),
         None if continue_ is None else Path(continue_),
         None if localize is None else Path(localize),
         None if plan is None else Path(plan),
-        None if start is None else _initial_pose(start),
+        None if start is None else initial_pose(start),
         PlanDrawing(None if plan_unit is None else _unit(plan_unit), plan_layer),
     )
     config, notes = setup.config, list(setup.notes)
-    source, reason = open_to_map(recording, config)
+    source, reason = open_to_map(refuse_results(str(recording)), config)
     if reason is not None:
         config = config.without_odometry()
         notes.append(f"{reason}; mapped by the scans alone")
@@ -121,17 +124,6 @@ def run(
         shift=shift,
         on_plan=on_plan,
     )
-
-
-def _initial_pose(start: Sequence[float] | Floats) -> se2.Pose:
-    """Return an initial pose as an array. Raises MapError if it is not three numbers."""
-    try:
-        pose = np.array(start, dtype=np.float64)
-    except (TypeError, ValueError):
-        pose = np.zeros(0)
-    if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise MapError(f"start: {start!r}: must be three numbers, e.g. [1.5, -2, 3.14]")
-    return pose
 
 
 def _unit(name: str) -> Unit:

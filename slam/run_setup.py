@@ -96,7 +96,9 @@ def prepare_run(
     if sum(path is not None for path in (continued, localized, plan)) > 1:
         raise MapError("a run can continue a session, localise on a map, or map with a plan, but only one of these")
     if session is None and plan is None and pose is not None:
-        raise MapError("an initial pose (start) needs a map: that of a session to continue or to localise on, or a plan")
+        raise MapError(
+            "an initial pose (start) needs a map: that of a session to continue or to localise on, or a plan"
+        )
     if drawing.is_stated and plan is None and (session is None or not is_plan(session)):
         raise MapError("the unit or layers of a plan are stated, but no plan is given")
     if session is None or is_plan(session) or (localized and localized.is_file()):  # if no plan, reading it says so

@@ -2,23 +2,52 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
 from drivers import se2
 
 from .config import Config
+from .errors import ConfigurationError, MapError
 from .estimation.journal import Journal
 from .estimation.placing import INITIAL_POSE_SIGMAS
 from .estimation.plan_prior import PlanPrior
 from .estimation.slam_state import SlamState
+from .events import Sink
+from .geometry.segments import Floats
+from .io.stored_session import StoredSession
 from .loop_closure.agreement import LoopAgreement
 from .mapping.plan_map import PlanMap
 from .preprocessing.preprocessor import Preprocessor
 
-if TYPE_CHECKING:
-    from .io.sessions import StoredSession
+
+def check_arguments(
+    config: Config | None, sinks: Sequence[Sink], resumed: StoredSession | None, plan: PlanMap | None
+) -> None:
+    """Raise ConfigurationError if an argument of a run has another type, as the name of a file has."""
+    types = (
+        ("config", config, Config, "load_config reads settings from a file"),
+        ("resumed", resumed, StoredSession, "slam.io.sessions.read_session reads it"),
+        ("plan", plan, PlanMap, "slam.run takes the name of its file"),
+    )
+    for name, value, kind, remedy in types:
+        if value is not None and not isinstance(value, kind):
+            raise ConfigurationError(f"{name} must be a {kind.__name__}, not {type(value).__name__}; {remedy}")
+    for sink in sinks:
+        if not hasattr(sink, "handle"):
+            raise ConfigurationError(f"a sink must have a method handle(event), which {type(sink).__name__} has not")
+
+
+def initial_pose(start: Sequence[float] | Floats) -> se2.Pose:
+    """Return an initial pose as an array. Raises MapError if it is not three numbers."""
+    try:
+        pose = np.array(start, dtype=np.float64)
+    except (TypeError, ValueError):
+        pose = np.zeros(0)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise MapError(f"start: {start!r}: must be three numbers, e.g. [1.5, -2, 3.14]")
+    return pose
 
 
 def new_state(config: Config, loops: LoopAgreement | None, plan: PlanMap | None, start: se2.Pose | None) -> SlamState:

@@ -135,7 +135,9 @@ class OutputDirectory:
         except OSError as error:
             raise OutputError(f"{self.path}: cannot be read: {error.strerror or error}") from error
         if present and not self._overwrite and self._target.stat().st_ino != self._own:
-            raise OutputError(f"{self.path}: exists already; choose another directory or add --overwrite")
+            raise OutputError(
+                f"{self.path}: exists already; choose another directory or add --overwrite (overwrite=True)"
+            )
         foreign = [
             name
             for name in present

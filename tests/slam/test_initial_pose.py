@@ -13,6 +13,7 @@ from drivers.messages import GroundTruth, InitialPose, Message, Odometry
 from drivers.simulation import LidarModel, Simulation
 from slam import Slam
 from slam.cli.app import app
+from slam.errors import MapError
 from slam.events import EventRecorder, Finished
 from slam.io.sessions import StoredSession
 
@@ -82,6 +83,16 @@ def test_the_robot_is_localised_from_the_first_scan(drive: list[Message], sessio
     if frozen:
         first = se2.between(true_pose(drive, finished.stamps[0] - 1000.0), finished.poses[0])
         assert np.hypot(first[0], first[1]) < 0.1
+
+
+def test_the_initial_pose_may_be_a_list_of_any_numbers(drive: list[Message], session: StoredSession) -> None:
+    for start in ([50, 50, 0], (50.0, 50, np.float32(0.0))):
+        slam = Slam(resumed=copy.deepcopy(session), frozen=True, start=start)
+        for message in later(drive)[:10]:
+            slam.add(message)
+    for wrong in ([1.0, 2.0], "1,2,3", [0.0, 0.0, np.nan]):
+        with pytest.raises(MapError, match=r"start: .* must be three numbers"):
+            Slam(resumed=session, frozen=True, start=wrong)
 
 
 def test_a_pose_can_be_set_while_the_robot_drives(drive: list[Message], session: StoredSession) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import LidarModel, Simulation
 from slam import Config, Slam
-from slam.errors import MapError, SlamError
+from slam.errors import ConfigurationError, MapError, SlamError
 from slam.evaluation.metrics import score_reference
 from slam.events import EventRecorder, Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, Notice, ScanTracked
 from slam.io.tum import Trajectory
@@ -62,6 +62,20 @@ def result_with_frequent_scans(drive_with_frequent_scans: list[Message]) -> Fini
 @pytest.fixture(scope="module")
 def drive_result(drive: list[Message]) -> Finished:
     return run(drive)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "problem"),
+    [
+        ({"config": "a.toml"}, "config must be a Config, not str; load_config reads settings from a file"),
+        ({"resumed": "map"}, "resumed must be a StoredSession, not str; slam.io.sessions.read_session reads it"),
+        ({"plan": "a.dxf"}, "plan must be a PlanMap, not str"),
+        ({"sinks": [print]}, r"a sink must have a method handle\(event\), which builtin_function_or_method has not"),
+    ],
+)
+def test_an_argument_of_another_type_is_refused_in_one_line(arguments: dict[str, Any], problem: str) -> None:
+    with pytest.raises(ConfigurationError, match=problem):
+        Slam(**arguments)
 
 
 def test_a_robot_that_only_stands_maps_what_it_sees_but_not_who_passes(drive: list[Message]) -> None:

@@ -102,6 +102,11 @@ def test_contradictions_are_one_line(arguments: dict[str, Any], problem: str) ->
     assert "\n" not in str(raised.value)
 
 
+def test_an_output_directory_is_no_recording(session: Path) -> None:
+    with pytest.raises(MapError, match="contains the results of a run and no recording"):
+        slam.run(session)
+
+
 def test_only_a_map_that_is_extended_is_refined(session: Path) -> None:
     with pytest.raises(MapError, match="nothing to refine"):
         slam.run(LATER, refine=True, localize=session)
