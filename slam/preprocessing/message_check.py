@@ -46,7 +46,7 @@ class MessageCheck:
         self._units = UnitCheck()
 
     def checked(self, message: Message) -> Message:
-        """Return a message whose arrays are of float64, converted from lists or other numbers if necessary.
+        """Return a message whose arrays are its own and of float64, converted from lists or other numbers if necessary.
 
         Raises MessageError, with one line, if shapes contradict each other, if a number that must be known is not
         finite, if angles are not in radians and increasing, or if the stamp is more than MAX_STEP_BACK seconds earlier
@@ -148,7 +148,10 @@ def _checked_pose(message: Odometry | InitialPose | GroundTruth) -> Message:
 
 
 def _row(message: Message, name: str, length: int | None = None) -> Floats:
-    """Return an attribute as an array (n,) of float64, the same one if it is. Raises MessageError."""
+    """Return an attribute as an array (n,) of float64, the same one if it cannot change. Raises MessageError.
+
+    A program may write the next measurement into the same array, while a scan still waits for odometry.
+    """
     value: Any = getattr(message, name)
     try:
         array = np.asarray(value)
@@ -160,7 +163,7 @@ def _row(message: Message, name: str, length: int | None = None) -> Floats:
         raise _error(message, f"{name} must be one row of numbers, not an array of the shape {array.shape}")
     if length is not None and len(array) != length:
         raise _error(message, f"{name} must be {length} numbers: x, y, heading; there are {len(array)}")
-    return array.astype(np.float64, copy=False)
+    return array.astype(np.float64, copy=array.flags.writeable)
 
 
 def _is_number(value: object) -> bool:
