@@ -51,7 +51,7 @@ class MappedRecording:
     source    recording as it was read
     reopen    argument of `drivers.open` that opens the recording again, from any working directory
     config    settings, without what the recording shows of the lidars
-    facts     on the recording, as in `summary.json`: gaps, timing, interpretations, doubts, plan
+    facts     on the recording, as in `summary.json`: gaps, timing, interpretations, doubts, warnings, plan
     shift     seconds that were added to stamps during the run, so that they follow those of the session that it used
     on_plan   comparison of the map with the plan that it was made with; None without a plan
     """
@@ -109,6 +109,11 @@ class MappedRecording:
     def doubts(self) -> list[str]:
         """What is probably wrong with the recording or its sensors, as lines of text."""
         return list(self.facts["doubts"])
+
+    @property
+    def warnings(self) -> list[str]:
+        """What went wrong during the run, such as a lost pose or a plan that was not recognised, as lines of text."""
+        return list(self.facts["warnings"])
 
     @property
     def plan_differences(self) -> list[str]:

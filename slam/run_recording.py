@@ -25,6 +25,7 @@ from .io.tum import Trajectory
 from .mapped_recording import MappedRecording
 from .offline.map_diff.plan_report import report_on_plan
 from .pipeline import Slam
+from .reporting.notice_collector import NoticeCollector
 from .run_setup import PlanDrawing, prepare_run, shift_after
 from .run_start import check_arguments, initial_pose
 
@@ -79,9 +80,10 @@ def run(
         notes.append("odometry is not used, as the session was mapped without")
     resumed = setup.resumed
     used, timing, second = timed(source, config, None if resumed is None else resumed.last_mount)
+    notices = NoticeCollector()
     slam = Slam(
         used,
-        sinks,
+        [notices, *sinks],
         refine=refine,
         keep_all_features=True,
         resumed=resumed,
@@ -111,6 +113,7 @@ def run(
     on_plan = None if setup.plan is None else report_on_plan(setup.plan, slam)
     figures = facts.figures(source.report)
     figures["interpretations"] += notes
+    figures["warnings"] = notices.texts
     return MappedRecording(
         name=source.name,
         finished=finished,

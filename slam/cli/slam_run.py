@@ -25,12 +25,12 @@ from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
+from ..reporting.notice_collector import NoticeCollector
 from ..run_setup import RunSetup, shift_after
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
-from .notice_collector import NoticeCollector
 from .run_controls import RunControls
 from .run_input import InputStatistics, RunInput
 from .run_summary import RunResult

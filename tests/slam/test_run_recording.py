@@ -51,6 +51,7 @@ def test_a_session_is_continued_or_localised_on(
     assert [[one[name] for name in names] for one in saved["recordings"]] == [
         [one[name] for name in names] for one in written["recordings"]
     ]
+    assert mapped.warnings == saved["warnings"] == written["warnings"]
     assert mapped.shift == saved["recordings"][-1]["shift"] > 0.0
     assert (tmp_path / "saved" / "session").exists() == (option == "--continue")
     assert mapped.occupancy().cells.size
@@ -77,6 +78,7 @@ def test_a_plan_is_mapped_with(wclm: Any, session: Path, tmp_path: Path) -> None
     mapped.save(tmp_path / "saved")
     saved, written = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("saved", "map"))
     assert saved["plan"] == written["plan"]
+    assert mapped.warnings == saved["warnings"] == written["warnings"]
     assert mapped.plan_differences == saved["plan"]["differences"]
     assert {one.name for one in (tmp_path / "saved").glob("plan*")} == {
         one.name for one in (tmp_path / "map").glob("plan*")

@@ -16,10 +16,10 @@ from ...io.host import peak_memory
 from ...io.output_dir import PICTURE, OutputDirectory
 from ...io.recordings import open_to_map, recording_to_reopen
 from ...io.run_results import write_results
+from ...reporting.notice_collector import NoticeCollector
 from ...run_setup import RunSetup
 from ..compilation import compile_for_recording
 from ..console import print_if_slow
-from ..notice_collector import NoticeCollector
 from ..run_input import InputStatistics, RecordingInput
 from ..run_setup import READING_SESSION, without_odometry
 from ..run_summary import RunResult, check_summary, format_summary

@@ -11,12 +11,12 @@ from drivers import se2
 from drivers.messages import Message, Odometry
 from drivers.simulation import LidarModel, Simulation, load_world
 from slam import Slam
-from slam.cli.notice_collector import NoticeCollector
 from slam.config import Config, config_to_toml
 from slam.io.output_dir import CONFIG
 from slam.io.sessions import read_session, write_session
 from slam.localisation.state import LocalisationStatus
 from slam.odometry.continuity import JUMPED, RESTARTED, ContinuousOdometry
+from slam.reporting.notice_collector import NoticeCollector
 from slam.visualisation.report_page.findings import group_warnings
 
 FAR = np.array([200.0, -1e8, 1.0])

@@ -1,7 +1,7 @@
 """Warnings of a run."""
 
-from slam.cli.notice_collector import MAX_EQUAL_NOTICES, NoticeCollector
 from slam.events import Notice
+from slam.reporting.notice_collector import MAX_EQUAL_NOTICES, NoticeCollector
 
 
 def test_equal_warnings_do_not_fill_the_memory() -> None:
