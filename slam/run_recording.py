@@ -13,7 +13,7 @@ from drivers.messages import GroundTruth, Odometry
 
 from .config import Config, load_config
 from .errors import MapError
-from .evaluation.metrics import score_true_path
+from .evaluation.metrics import ReferenceScore, score_true_path
 from .events import Finished, Sink
 from .geometry.segments import Floats
 from .io.output_dir import refuse_results
@@ -114,11 +114,14 @@ def run(
     figures = facts.figures(source.report)
     figures["interpretations"] += notes
     figures["warnings"] = notices.texts
+    score, true_path = _true_path(finished, truth, used, 0.0 if slam.extends_map else shift)
+    if score is not None:
+        figures["truth"] = score.figures()
     return MappedRecording(
         name=source.name,
         finished=finished,
         odometry=odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3)),
-        truth=_true_path(finished, truth, used, 0.0 if slam.extends_map else shift),
+        truth=true_path,
         slam=slam,
         source=source,
         reopen=recording_to_reopen(str(recording)),
@@ -143,13 +146,17 @@ def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:
     return se2.compose(finished.poses[start], se2.between(poses[0], poses))
 
 
-def _true_path(finished: Finished, truth: Sequence[GroundTruth], config: Config, shift: float) -> Trajectory | None:
-    """Return the true path in the map; None if there is none at the time of the path.
+def _true_path(
+    finished: Finished, truth: Sequence[GroundTruth], config: Config, shift: float
+) -> tuple[ReferenceScore, Trajectory] | tuple[None, None]:
+    """Return the error of the path and the true path in the map; None if there is none at the time of the path.
 
     shift  seconds that are subtracted from its stamps
     """
     if not truth:
-        return None
+        return None, None
     stated = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    path = score_true_path(Trajectory(finished.stamps, finished.poses), stated, config.lidar.delay)[1]
-    return path if path is None or not shift else Trajectory(path.stamps - shift, path.poses)
+    score, path = score_true_path(Trajectory(finished.stamps, finished.poses), stated, config.lidar.delay)
+    if score is None or path is None:
+        return None, None
+    return score, Trajectory(path.stamps - shift, path.poses)

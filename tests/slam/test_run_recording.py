@@ -52,6 +52,7 @@ def test_a_session_is_continued_or_localised_on(
         [one[name] for name in names] for one in written["recordings"]
     ]
     assert mapped.warnings == saved["warnings"] == written["warnings"]
+    assert mapped.facts["truth"] == pytest.approx(written["truth"], abs=1e-9, nan_ok=True)
     assert mapped.shift == saved["recordings"][-1]["shift"] > 0.0
     assert (tmp_path / "saved" / "session").exists() == (option == "--continue")
     assert mapped.occupancy().cells.size
