@@ -12,7 +12,7 @@ from drivers import se2
 from drivers.messages import GroundTruth, Odometry
 
 from .config import Config, load_config
-from .errors import MapError
+from .errors import MapError, MessageError
 from .evaluation.metrics import ReferenceScore, score_true_path
 from .events import Finished, Sink
 from .geometry.segments import Floats
@@ -95,20 +95,21 @@ def run(
     odometry: list[se2.Pose] = []
     truth: list[GroundTruth] = []
     first, shift = np.inf, 0.0
-    for read in source:
-        facts.add(read)
-        if first == np.inf and resumed is not None:
-            shift = shift_after(read.stamp, resumed.latest)
-        message = replace(read, stamp=read.stamp + shift) if shift else read
-        first = min(first, message.stamp)
-        if isinstance(message, Odometry):
-            odometry.append(message.pose)
-        elif isinstance(message, GroundTruth):
-            truth.append(message)
-        slam.add(message)
     try:
+        for read in source:
+            facts.add(read)
+            if first == np.inf and resumed is not None:
+                shift = shift_after(read.stamp, resumed.latest)
+            message = replace(read, stamp=read.stamp + shift) if shift else read
+            if isinstance(message, GroundTruth):
+                truth.append(message)
+            else:
+                first = min(first, message.stamp)
+            if isinstance(message, Odometry):
+                odometry.append(message.pose)
+            slam.add(message)
         finished = slam.finish()
-    except MapError as error:
+    except (MapError, MessageError) as error:
         raise MapError(f"{source.name}: {error}") from error
     on_plan = None if setup.plan is None else report_on_plan(setup.plan, slam)
     figures = facts.figures(source.report)

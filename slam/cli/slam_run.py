@@ -19,7 +19,7 @@ from drivers.messages import Message
 from drivers.timing.watched_view import watched
 
 from ..config import Config, config_to_toml
-from ..errors import MapError
+from ..errors import MapError, MessageError
 from ..events import Finished, Sink
 from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
@@ -220,7 +220,7 @@ def process_messages(
         before = time.perf_counter()
         finished = slam.finish()
         return finished, busy + time.perf_counter() - before
-    except MapError as error:
+    except (MapError, MessageError) as error:
         raise MapError(f"{name}: {error}") from error
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,9 @@ import numpy as np
 import pytest
 
 import slam
-from drivers import se2
+from drivers import Odometry, Scan, se2
+from drivers.recordings.mcap import McapWriter
+from drivers.simulation import LIDAR_MODELS, Simulation
 from slam.errors import MapError, SlamError
 from slam.io.plans.units import Unit
 from slam.io.sessions import read_session
@@ -103,6 +106,20 @@ def test_contradictions_are_one_line(arguments: dict[str, Any], problem: str) ->
     with pytest.raises(SlamError, match=problem) as raised:
         slam.run(FIRST, **arguments)
     assert "\n" not in str(raised.value)
+
+
+def test_ranges_of_an_unknown_unit_are_named_with_the_recording(wclm: Any, tmp_path: Path) -> None:
+    """Without a motion, the reader does not know how far a unit is."""
+    standing = next(m.pose for m in Simulation("room", duration=1.0) if isinstance(m, Odometry))
+    with McapWriter(tmp_path / "drive.mcap") as writer:
+        for m in Simulation("room", duration=4.0, lidar=LIDAR_MODELS["short"]):
+            if isinstance(m, Odometry):
+                writer.write(replace(m, pose=standing))
+            elif isinstance(m, Scan):
+                writer.write(replace(m, ranges=1000.0 * m.ranges, range_max=40_000.0))
+    with pytest.raises(SlamError, match=r"drive\.mcap: scan at .* nearly all ranges are beyond 100"):
+        slam.run(tmp_path / "drive.mcap")
+    wclm.refuses("run", "drive.mcap", "--out", "map", because=["drive.mcap: scan at ", "they must be in metres"])
 
 
 def test_an_output_directory_is_no_recording(session: Path) -> None:
