@@ -86,9 +86,12 @@ def test_a_place_is_not_taken_for_another_one_if_the_robot_may_be_farther_away()
     assert not closures(mapped(simulation))
 
 
-def test_a_correction_that_makes_the_map_worse_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("function", "result"), [("map_gain", 0.0), ("displacement", 1.0)])
+def test_a_correction_is_discarded_if_the_map_is_not_better_or_the_scans_stay_displaced(
+    function: str, result: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     simulation = Simulation(block(), seed=1, lidar=LidarModel(beams=181, rate=4.0, range_max=8.0))
-    monkeypatch.setattr(displaced_loops, "map_gain", lambda *_: 0.0)
+    monkeypatch.setattr(displaced_loops, function, lambda *_: result)
     slam = mapped(simulation, STRETCH)
     assert not closures(slam)
     assert end_error(slam, simulation) > 0.25
