@@ -23,6 +23,7 @@ from ..checks.displaced_scans import Refits, displaced_groups, map_gain, refit_s
 from ..checks.drive import Drive
 from ..checks.step_checks import MIN_DISPLACEMENT, displacement
 from ..checks.steps import FIELD_SCANS, MAX_SEARCH
+from ..errors import MapError
 from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats, Integers
 from ..loop_closure.criteria import fits, is_determined
@@ -71,8 +72,11 @@ def _close_next(state: SlamState, journal: Journal, tried: set[float]) -> tuple[
         if displaced.stamp in tried:
             continue
         tried.add(displaced.stamp)
-        loop = displaced.find_loop()
-        closed = None if loop is None else _close(state, drive, loop, found.threshold)
+        try:
+            loop = displaced.find_loop()
+            closed = None if loop is None else _close(state, drive, loop, found.threshold)
+        except MapError:  # the graph cannot be solved with this loop: the map stays as it is
+            continue
         if closed is not None:
             return closed
     return None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from drivers import GroundTruth, Message, Scan, se2
 from drivers.simulation import LIDAR_MODELS, WHEEL_MODELS, LidarModel, Simulation
 from drivers.simulation.world import World
 from slam import Slam
+from slam.errors import MapError
 from slam.estimation import displaced_loops, estimator
 from slam.estimation.displaced_loops import REASON
 
@@ -86,12 +87,19 @@ def test_a_place_is_not_taken_for_another_one_if_the_robot_may_be_farther_away()
     assert not closures(mapped(simulation))
 
 
-@pytest.mark.parametrize(("function", "result"), [("map_gain", 0.0), ("displacement", 1.0)])
-def test_a_correction_is_discarded_if_the_map_is_not_better_or_the_scans_stay_displaced(
-    function: str, result: float, monkeypatch: pytest.MonkeyPatch
+def unsolvable(*_: object) -> None:
+    raise MapError("the map cannot be estimated")
+
+
+@pytest.mark.parametrize(
+    ("function", "result"), [("map_gain", lambda *_: 0.0), ("displacement", lambda *_: 1.0), ("close_loop", unsolvable)]
+)
+def test_a_correction_is_discarded_if_the_map_is_not_better_or_cannot_be_solved(
+    function: str, result: Callable[..., object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Also if the scans stay displaced."""
     simulation = Simulation(block(), seed=1, lidar=LidarModel(beams=181, rate=4.0, range_max=8.0))
-    monkeypatch.setattr(displaced_loops, function, lambda *_: result)
+    monkeypatch.setattr(displaced_loops, function, result)
     slam = mapped(simulation, STRETCH)
     assert not closures(slam)
     assert end_error(slam, simulation) > 0.25
