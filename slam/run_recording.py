@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Odometry
+from drivers.messages import GroundTruth, Message, Odometry, Source
 
 from .config import Config, load_config
 from .errors import MapError, MessageError
@@ -21,12 +21,13 @@ from .io.plans.units import Unit
 from .io.recording_facts import RecordingFacts
 from .io.recording_timing import timed
 from .io.recordings import open_to_map, reason_without_odometry, recording_to_reopen
+from .io.stored_session import StoredSession
 from .io.tum import Trajectory
 from .mapped_recording import MappedRecording
 from .offline.map_diff.plan_report import report_on_plan
 from .pipeline import Slam
 from .reporting.notice_collector import NoticeCollector
-from .run_setup import PlanDrawing, prepare_run, shift_after
+from .run_setup import PlanDrawing, RunSetup, prepare_run, shift_after
 from .run_start import check_arguments, initial_pose
 
 
@@ -71,66 +72,101 @@ def run(
         None if start is None else initial_pose(start),
         PlanDrawing(None if plan_unit is None else _unit(plan_unit), plan_layer),
     )
-    config, notes = setup.config, list(setup.notes)
-    source, reason = open_to_map(refuse_results(str(recording)), config)
-    if reason is not None:
-        config = config.without_odometry()
-        notes.append(f"{reason}; mapped by the scans alone")
-    elif setup.leaves_out_odometry and reason_without_odometry(source) is None:
-        notes.append("odometry is not used, as the session was mapped without")
-    resumed = setup.resumed
-    used, timing, second = timed(source, config, None if resumed is None else resumed.last_mount)
+    return _map(str(recording), setup, sinks, refine=refine)
+
+
+def _map(recording: str, setup: RunSetup, sinks: Sequence[Sink], *, refine: bool) -> MappedRecording:
+    """Map a recording from the initial state of the run on, see `run`."""
+    source, reason = open_to_map(refuse_results(recording), setup.config)
+    config = setup.config if reason is None else setup.config.without_odometry()
+    used, timing, second = timed(source, config, None if setup.resumed is None else setup.resumed.last_mount)
     notices = NoticeCollector()
-    slam = Slam(
-        used,
-        [notices, *sinks],
-        refine=refine,
-        keep_all_features=True,
-        resumed=resumed,
-        frozen=setup.frozen,
-        start=setup.pose,
-        plan=setup.plan,
-    )
-    facts = RecordingFacts(timing, second)
-    odometry: list[se2.Pose] = []
-    truth: list[GroundTruth] = []
-    first, shift = np.inf, 0.0
+    slam = _start(used, setup, [notices, *sinks], refine=refine)
+    messages = _Messages(RecordingFacts(timing, second), setup.resumed)
     try:
-        for read in source:
-            facts.add(read)
-            if first == np.inf and resumed is not None:
-                shift = shift_after(read.stamp, resumed.latest)
-            message = replace(read, stamp=read.stamp + shift) if shift else read
-            if isinstance(message, GroundTruth):
-                truth.append(message)
-            else:
-                first = min(first, message.stamp)
-            if isinstance(message, Odometry):
-                odometry.append(message.pose)
+        for message in messages.read(source):
             slam.add(message)
         finished = slam.finish()
     except (MapError, MessageError) as error:
         raise MapError(f"{source.name}: {error}") from error
     on_plan = None if setup.plan is None else report_on_plan(setup.plan, slam)
-    figures = facts.figures(source.report)
-    figures["interpretations"] += notes
+    figures = messages.facts.figures(source.report)
+    figures["interpretations"] += [*setup.notes, *_notes_on_odometry(setup, source, reason)]
     figures["warnings"] = notices.texts
-    score, true_path = _true_path(finished, truth, used, 0.0 if slam.extends_map else shift)
+    score, true_path = _true_path(finished, messages.truth, used, 0.0 if slam.extends_map else messages.shift)
     if score is not None:
         figures["truth"] = score.figures()
     return MappedRecording(
         name=source.name,
         finished=finished,
-        odometry=odometry_path(finished, first, np.array(odometry)) if odometry else np.zeros((0, 3)),
+        odometry=odometry_path(finished, messages.first, messages.odometry),
         truth=true_path,
         slam=slam,
         source=source,
-        reopen=recording_to_reopen(str(recording)),
+        reopen=recording_to_reopen(recording),
         config=config,
         facts=figures if on_plan is None else figures | {"plan": on_plan.summary},
-        shift=shift,
+        shift=messages.shift,
         on_plan=on_plan,
     )
+
+
+def _start(config: Config, setup: RunSetup, sinks: Sequence[Sink], *, refine: bool) -> Slam:
+    """Return the pipeline of a run with the settings `config`, to which those from the recording were added."""
+    return Slam(
+        config,
+        sinks,
+        refine=refine,
+        keep_all_features=True,
+        resumed=setup.resumed,
+        frozen=setup.frozen,
+        start=setup.pose,
+        plan=setup.plan,
+    )
+
+
+def _notes_on_odometry(setup: RunSetup, source: Source, reason: str | None) -> list[str]:
+    """Return why odometry is not used, if so; `reason` is that of the recording."""
+    if reason is not None:
+        return [f"{reason}; mapped by the scans alone"]
+    if setup.leaves_out_odometry and reason_without_odometry(source) is None:
+        return ["odometry is not used, as the session was mapped without"]
+    return []
+
+
+class _Messages:
+    """Messages of a recording on their way to the pipeline, and what is kept of them.
+
+    facts  on all messages
+    truth  true poses
+    first  stamp of the first measurement, seconds; infinite if there is none
+    shift  seconds that are added to the stamps, so that they follow those of the session that the run uses
+    """
+
+    def __init__(self, facts: RecordingFacts, resumed: StoredSession | None) -> None:
+        self.facts, self._resumed = facts, resumed
+        self.truth, self._odometry = list[GroundTruth](), list[se2.Pose]()
+        self.first, self.shift = np.inf, 0.0
+
+    @property
+    def odometry(self) -> Floats:
+        """(m, 3) all poses of odometry."""
+        return np.array(self._odometry).reshape(-1, 3)
+
+    def read(self, source: Source) -> Iterator[Message]:
+        """Yield the messages, with shifted stamps."""
+        for stated in source:
+            self.facts.add(stated)
+            if self.first == np.inf and self._resumed is not None:
+                self.shift = shift_after(stated.stamp, self._resumed.latest)
+            message = replace(stated, stamp=stated.stamp + self.shift) if self.shift else stated
+            if isinstance(message, GroundTruth):
+                self.truth.append(message)
+            else:
+                self.first = min(self.first, message.stamp)
+            if isinstance(message, Odometry):
+                self._odometry.append(message.pose)
+            yield message
 
 
 def _unit(name: str) -> Unit:
@@ -142,7 +178,9 @@ def _unit(name: str) -> Unit:
 
 
 def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:
-    """Return the odometry poses (m, 3) of a run that began at the stamp `first`, in the map: from the same start."""
+    """Return the odometry `poses` (m, 3) of a run that began at the stamp `first`, in the map: from the same start."""
+    if not len(poses):
+        return poses
     start = min(int(np.searchsorted(finished.stamps, first)), len(finished.poses) - 1)
     return se2.compose(finished.poses[start], se2.between(poses[0], poses))
 

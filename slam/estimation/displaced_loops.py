@@ -85,7 +85,9 @@ def _close_next(state: SlamState, journal: Journal, tried: set[float]) -> tuple[
 def _close(
     state: SlamState, drive: Drive, loop: LoopDecision, required: float
 ) -> tuple[SlamState, LoopDecision] | None:
-    """Close a loop on a copy of the state; None if the scans stay displaced, or if the map is not better as `required`.
+    """Close a loop on a copy of the state; None if the scans stay displaced, or if the gain of the map is too small.
+
+    required  logarithm of how much more likely the scans must be in the corrected map
 
     Scans stay displaced if other factors, which may be wrong, hold the keyframes where they are.
     """
