@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers import se2
 from drivers.immutable import immutable
@@ -116,6 +117,19 @@ def _sampled_drive(state: SlamState, journal: Journal) -> Drive:
     return drive_of(journal.scans, journal.segments, placed, state.odometry_model, start).sampled()
 
 
+def are_apart(stamps: Floats, compared: Floats, group: Integers) -> NDArray[np.bool_]:
+    """Return (k,) which keyframes, at `stamps` (k,), are more than FIELD_SCANS scans before or after a group of scans.
+
+    compared  (n,) stamps of the scans that are compared
+    group     rows of these
+    """
+    apart: NDArray[np.bool_] = stamps < compared[max(0, group[0] - FIELD_SCANS)]
+    after = group[-1] + FIELD_SCANS
+    if after < len(compared):
+        apart |= stamps > compared[after]
+    return apart
+
+
 @immutable
 class _DisplacedKeyframes:
     """Keyframes of scans in a row that fit the map of the others better elsewhere.
@@ -142,8 +156,7 @@ class _DisplacedKeyframes:
         centre = int(np.abs(stamps - drive.stamps[worst]).argmin())
         first, last = drive.stamps[group[[0, -1]]]
         own = np.union1d(np.flatnonzero((stamps >= first) & (stamps <= last)), [centre])
-        before, after = max(0, group[0] - FIELD_SCANS), min(len(drive) - 1, group[-1] + FIELD_SCANS)
-        others = (stamps < drive.stamps[before]) | (stamps > drive.stamps[after])
+        others = are_apart(stamps, drive.stamps, group)
         others &= state.mapper.landmarks.parts.connected(np.arange(len(stamps)), centre)
         pose = drive.poses[worst]
         motion = se2.compose(se2.compose(pose, found.motion[worst]), se2.inverse(pose))

@@ -15,7 +15,7 @@ from drivers.simulation.world import World
 from slam import Slam
 from slam.errors import MapError
 from slam.estimation import displaced_loops, estimator
-from slam.estimation.displaced_loops import REASON
+from slam.estimation.displaced_loops import REASON, are_apart
 
 STRETCH = 0.99
 """Factor of the bearings that the lidar states: no covariance contains that turns are measured wrong by 1 %."""
@@ -85,6 +85,14 @@ def test_a_place_is_not_taken_for_another_one_if_the_robot_may_be_farther_away()
     """With large errors of the wheels, the robot is 5 m from where the estimate has it, among equal rooms."""
     simulation = Simulation("square", 2, 145.0, lidar=LIDAR_MODELS["short"], wheels=WHEEL_MODELS["bad"])
     assert not closures(mapped(simulation))
+
+
+def test_keyframes_after_the_last_compared_scan_belong_to_the_scans_before_it() -> None:
+    """The scan of the last keyframe may be too near to the last compared one to be compared itself."""
+    compared = np.arange(40.0)
+    stamps = np.array([0.0, 10.0, 20.0, 39.0, 39.5])
+    assert are_apart(stamps, compared, np.array([37, 38, 39])).tolist() == [True, True, True, False, False]
+    assert are_apart(stamps, compared, np.array([0, 1, 2])).tolist() == [False, False, True, True, True]
 
 
 def unsolvable(*_: object) -> None:
