@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Odometry, Source
+from drivers.messages import Source
 
 from .config import Config, load_config
 from .errors import MapError, MessageError
@@ -21,13 +20,13 @@ from .io.plans.units import Unit
 from .io.recording_facts import RecordingFacts
 from .io.recording_timing import timed
 from .io.recordings import open_to_map, reason_without_odometry, recording_to_reopen
-from .io.stored_session import StoredSession
 from .io.tum import Trajectory
 from .mapped_recording import MappedRecording
 from .offline.map_diff.plan_report import report_on_plan
 from .pipeline import Slam
+from .reporting.input_statistics import InputStatistics
 from .reporting.notice_collector import NoticeCollector
-from .run_setup import PlanDrawing, RunSetup, prepare_run, shift_after
+from .run_setup import PlanDrawing, RunSetup, prepare_run
 from .run_start import check_arguments, initial_pose
 
 
@@ -82,31 +81,32 @@ def _map(recording: str, setup: RunSetup, sinks: Sequence[Sink], *, refine: bool
     used, timing, second = timed(source, config, None if setup.resumed is None else setup.resumed.last_mount)
     notices = NoticeCollector()
     slam = _start(used, setup, [notices, *sinks], refine=refine)
-    messages = _Messages(RecordingFacts(timing, second), setup.resumed)
+    facts, statistics = RecordingFacts(timing, second), InputStatistics(keeps_odometry=True)
+    after = -np.inf if setup.resumed is None else setup.resumed.latest
     try:
-        for message in messages.read(source):
+        for message in statistics.read(facts.read(source), after):
             slam.add(message)
         finished = slam.finish()
     except (MapError, MessageError) as error:
         raise MapError(f"{source.name}: {error}") from error
     on_plan = None if setup.plan is None else report_on_plan(setup.plan, slam)
-    figures = messages.facts.figures(source.report)
+    figures = facts.figures(source.report)
     figures["interpretations"] += [*setup.notes, *_notes_on_odometry(setup, source, reason)]
     figures["warnings"] = notices.texts
-    score, true_path = _true_path(finished, messages.truth, used, 0.0 if slam.extends_map else messages.shift)
+    score, true_path = _true_path(finished, statistics.truth, used, 0.0 if slam.extends_map else statistics.shift)
     if score is not None:
         figures["truth"] = score.figures()
     return MappedRecording(
         name=source.name,
         finished=finished,
-        odometry=odometry_path(finished, messages.first, messages.odometry),
+        odometry=odometry_path(finished, statistics.first, statistics.odometry_poses.rows),
         truth=true_path,
         slam=slam,
         source=source,
         reopen=recording_to_reopen(recording),
         config=config,
         facts=figures if on_plan is None else figures | {"plan": on_plan.summary},
-        shift=messages.shift,
+        shift=statistics.shift,
         on_plan=on_plan,
     )
 
@@ -134,41 +134,6 @@ def _notes_on_odometry(setup: RunSetup, source: Source, reason: str | None) -> l
     return []
 
 
-class _Messages:
-    """Messages of a recording on their way to the pipeline, and what is kept of them.
-
-    facts  on all messages
-    truth  true poses
-    first  stamp of the first measurement, seconds; infinite if there is none
-    shift  seconds that are added to the stamps, so that they follow those of the session that the run uses
-    """
-
-    def __init__(self, facts: RecordingFacts, resumed: StoredSession | None) -> None:
-        self.facts, self._resumed = facts, resumed
-        self.truth, self._odometry = list[GroundTruth](), list[se2.Pose]()
-        self.first, self.shift = np.inf, 0.0
-
-    @property
-    def odometry(self) -> Floats:
-        """(m, 3) all poses of odometry."""
-        return np.array(self._odometry).reshape(-1, 3)
-
-    def read(self, source: Source) -> Iterator[Message]:
-        """Yield the messages, with shifted stamps."""
-        for stated in source:
-            self.facts.add(stated)
-            if self.first == np.inf and self._resumed is not None:
-                self.shift = shift_after(stated.stamp, self._resumed.latest)
-            message = replace(stated, stamp=stated.stamp + self.shift) if self.shift else stated
-            if isinstance(message, GroundTruth):
-                self.truth.append(message)
-            else:
-                self.first = min(self.first, message.stamp)
-            if isinstance(message, Odometry):
-                self._odometry.append(message.pose)
-            yield message
-
-
 def _unit(name: str) -> Unit:
     """Return a unit of length by its name. Raises MapError if there is none."""
     try:
@@ -186,16 +151,15 @@ def odometry_path(finished: Finished, first: float, poses: Floats) -> Floats:
 
 
 def _true_path(
-    finished: Finished, truth: Sequence[GroundTruth], config: Config, shift: float
+    finished: Finished, truth: Trajectory | None, config: Config, shift: float
 ) -> tuple[ReferenceScore, Trajectory] | tuple[None, None]:
     """Return the error of the path and the true path in the map; None if there is none at the time of the path.
 
     shift  seconds that are subtracted from its stamps
     """
-    if not truth:
+    if truth is None:
         return None, None
-    stated = Trajectory(np.array([t.stamp for t in truth]), np.array([t.pose for t in truth]))
-    score, path = score_true_path(Trajectory(finished.stamps, finished.poses), stated, config.lidar.delay)
+    score, path = score_true_path(Trajectory(finished.stamps, finished.poses), truth, config.lidar.delay)
     if score is None or path is None:
         return None, None
     return score, Trajectory(path.stamps - shift, path.poses)

@@ -6,16 +6,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from drivers import se2
 from drivers.immutable import immutable
-from drivers.timestamps import follows
 
 from .config import Config
 from .errors import MapError
 from .io.output_dir import CONFIG
-from .odometry.continuity import MAX_BREAK
 
 if TYPE_CHECKING:
     from .io.plans.units import Unit
@@ -130,11 +126,3 @@ def read_plan_map(path: Path, drawing: PlanDrawing, config: Config) -> tuple[Pla
     width, height = plan.size
     notes = [*plan.notes, f"{len(plan_map.walls)} walls, {width:.1f} m x {height:.1f} m"]
     return plan_map, [f"{path}: {note}" for note in notes]
-
-
-def shift_after(first: float, after: float) -> float:
-    """Return the seconds by which stamps are shifted if the first one does not follow `after`, else zero.
-
-    Such stamps do not tell what happened in between: they follow so late that no run seems to have been interrupted.
-    """
-    return 0.0 if first == after or follows(first, after) else float(np.ceil(after - first)) + MAX_BREAK + 1.0

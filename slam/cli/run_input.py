@@ -1,22 +1,21 @@
-"""Input of a run: its messages, where they can be read again, and statistics of them."""
+"""Input of a run: its messages, and where they can be read again."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from drivers import se2
-from drivers.messages import GroundTruth, Message, Odometry, Scan, Source, SourceReport
+from drivers.messages import Message, Source, SourceReport
 
 from ..config import Config
 from ..events import Sink
-from ..geometry.growing_array import GrowingArray
 from ..io.recording_facts import RecordingFacts
 from ..io.recording_timing import timed
+from ..reporting.input_statistics import InputStatistics
 from .console import progress
 
 if TYPE_CHECKING:
@@ -86,9 +85,7 @@ class RecordingInput:
 
     def _messages(self) -> Iterator[Message]:
         assert self._facts is not None
-        for message in self._source:
-            self._facts.add(message)
-            yield message
+        yield from self._facts.read(self._source)
 
     def resolve(self, config: Config) -> Config:
         """Return the settings with each lidar's delay that the recording shows, if none is set."""
@@ -102,56 +99,21 @@ class RecordingInput:
         return self._facts.figures(self.report)
 
 
-@dataclass(slots=True)
-class InputStatistics:
-    """Statistics of the messages of a run: counts, time span, odometry poses and true poses.
+def recording_entry(
+    run_input: RunInput, statistics: InputStatistics, config: Config, mounts: Sequence[se2.Pose]
+) -> Recording:
+    """Return the entry of the recording in a session; `config` and `mounts` of the lidars are those used."""
+    from ..io.sessions import Recording
+    from ..io.sessions.records import to_pose
 
-    keeps_odometry  keep the odometry poses, to draw them: memory then grows with time
-    shift           seconds that were added to all stamps
-    """
-
-    keeps_odometry: bool = False
-    scans: int = 0
-    odometry: int = 0
-    shift: float = 0.0
-    first: float = np.inf
-    last: float = -np.inf
-    odometry_poses: GrowingArray = field(default_factory=lambda: GrowingArray((3,)))
-    truth_stamps: list[float] = field(default_factory=list)
-    truth: list[se2.Pose] = field(default_factory=list)
-
-    def add(self, message: Message) -> None:
-        """Count a message."""
-        if isinstance(message, GroundTruth):
-            self.truth_stamps.append(message.stamp)
-            self.truth.append(message.pose)
-            return
-        self.first, self.last = min(self.first, message.stamp), max(self.last, message.stamp)
-        if isinstance(message, Odometry):
-            self.odometry += 1
-            if self.keeps_odometry:
-                self.odometry_poses.append(message.pose)
-        elif isinstance(message, Scan):
-            self.scans += 1
-
-    def recording(self, run_input: RunInput, config: Config, mounts: Sequence[se2.Pose]) -> Recording:
-        """Return the entry of the recording in a session; `config` and `mounts` of the lidars are those used."""
-        from ..io.sessions import Recording
-        from ..io.sessions.records import to_pose
-
-        first, last = (self.first, self.last) if np.isfinite(self.first) else (0.0, 0.0)
-        return Recording.model_construct(
-            name=run_input.name,
-            path=run_input.reopen,
-            shift=self.shift,
-            first=first,
-            last=last,
-            recorded_stamps=run_input.report.recorded_stamps,
-            settings=config,
-            lidars=[to_pose(mount) for mount in mounts],
-        )
-
-    @property
-    def duration(self) -> float:
-        """Seconds from the first measurement to the last."""
-        return max(0.0, self.last - self.first)
+    first, last = (statistics.first, statistics.last) if np.isfinite(statistics.first) else (0.0, 0.0)
+    return Recording.model_construct(
+        name=run_input.name,
+        path=run_input.reopen,
+        shift=statistics.shift,
+        first=first,
+        last=last,
+        recorded_stamps=run_input.report.recorded_stamps,
+        settings=config,
+        lidars=[to_pose(mount) for mount in mounts],
+    )

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from ..evaluation.metrics import ReferenceScore
     from ..events import Finished
     from ..io.run_results import RunResults
-    from .run_input import InputStatistics, RunInput
+    from ..reporting.input_statistics import InputStatistics
+    from .run_input import RunInput
 
 SHOWN_WARNINGS = 4
 SHOWN_SUSPECTS = 5

@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from drivers import se2
 
 from ..errors import first_line
@@ -23,9 +21,10 @@ from ..io.output_dir import PICTURE, SESSION
 from ..io.run_results import write_results
 from ..io.tum import Trajectory
 from ..memory import return_code_of_imports, return_freed_memory
+from ..reporting.input_statistics import InputStatistics
 from ..reporting.summary import RunTimes
 from ..run_setup import RunSetup
-from .run_input import InputStatistics, RunInput
+from .run_input import RunInput, recording_entry
 from .run_summary import summarise_run
 
 if TYPE_CHECKING:
@@ -129,7 +128,7 @@ class RunWriter:
             seed=self.seed,
             times=times,
         )
-        session.recordings.append(self.statistics.recording(self.run_input, config, mounts))
+        session.recordings.append(recording_entry(self.run_input, self.statistics, config, mounts))
         recordings = session.recordings if extended else session.recordings[-1:]
         return summary | {
             "lidars": [mount.tolist() for mount in mounts],
@@ -170,10 +169,9 @@ def _write_session(session: StoredSession, place: Path) -> None:
 
 def score_against_truth(finished: Finished, statistics: InputStatistics, config: Config) -> ReferenceScore | None:
     """Score the path against the ground truth; return None if there is none for the time of the path."""
-    if not statistics.truth:
+    if statistics.truth is None:
         return None
-    truth = Trajectory(np.array(statistics.truth_stamps), np.array(statistics.truth))
-    return score_true_path(Trajectory(finished.stamps, finished.poses), truth, config.lidar.delay)[0]
+    return score_true_path(Trajectory(finished.stamps, finished.poses), statistics.truth, config.lidar.delay)[0]
 
 
 def _draw(

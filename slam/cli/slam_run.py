@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -25,14 +25,15 @@ from ..io.host import versions
 from ..io.output_dir import REPORT, REVIEW, OutputDirectory
 from ..io.unfinished_file import unfinished_file
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
+from ..reporting.input_statistics import InputStatistics
 from ..reporting.notice_collector import NoticeCollector
-from ..run_setup import RunSetup, shift_after
+from ..run_setup import RunSetup
 from .autosave import Autosave
 from .compilation import compile_all, compile_for_recording
 from .console import print_if_slow
 from .left_behind import print_left_behind
 from .run_controls import RunControls
-from .run_input import InputStatistics, RunInput
+from .run_input import RunInput
 from .run_summary import RunResult
 from .run_writer import RunWriter
 
@@ -105,7 +106,7 @@ def run_slam(
                 lidar = setup.config.lidar
                 messages = watched(messages, run_input.report, (lidar.range_min, lidar.range_max))
             after = -np.inf if setup.resumed is None else setup.resumed.latest
-            finished, busy = process_messages(_shifted(messages, after, statistics), slam, statistics, run_input.name)
+            finished, busy = process_messages(statistics.read(messages, after), slam, run_input.name)
             saving.close()
             log.close()
             summary, write = writer.final(slam, finished, busy, None if reviewed is None else reviewed.left_out())
@@ -195,17 +196,7 @@ def review_log(
     )
 
 
-def _shifted(messages: Iterable[Message], after: float, statistics: InputStatistics) -> Iterator[Message]:
-    """Yield the messages; shift all stamps to just after `after` (seconds), as `shift_after` says."""
-    for message in messages:
-        if statistics.first == np.inf:
-            statistics.shift = shift_after(message.stamp, after)
-        yield replace(message, stamp=message.stamp + statistics.shift) if statistics.shift else message
-
-
-def process_messages(
-    messages: Iterable[Message], slam: Slam, statistics: InputStatistics, name: str
-) -> tuple[Finished, float]:
+def process_messages(messages: Iterable[Message], slam: Slam, name: str) -> tuple[Finished, float]:
     """Process all messages; return the result and the seconds that the pipeline took.
 
     Raises MapError with `name`, that of the recording.
@@ -213,7 +204,6 @@ def process_messages(
     busy = 0.0
     try:
         for message in messages:
-            statistics.add(message)
             before = time.perf_counter()
             slam.add(message)
             busy += time.perf_counter() - before

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from drivers.gaps import gap_warnings
@@ -12,7 +13,7 @@ from .recording_timing import RecordingTiming
 
 
 class RecordingFacts:
-    """Facts on a recording, complete once all its messages have been added.
+    """Facts on a recording, complete once all its messages have been read.
 
     timing  of its lidar
     second  of its second lidar; None if there is none
@@ -22,12 +23,14 @@ class RecordingFacts:
         self._timing, self._second = timing, second
         self._scan_stamps, self._odometry_stamps = GrowingArray(()), GrowingArray(())
 
-    def add(self, message: Message) -> None:
-        """Note when a message was measured."""
-        if isinstance(message, Odometry):
-            self._odometry_stamps.append(message.stamp)
-        elif isinstance(message, Scan):
-            self._scan_stamps.append(message.stamp)
+    def read(self, messages: Iterable[Message]) -> Iterator[Message]:
+        """Yield the messages of the recording, and note when they were measured."""
+        for message in messages:
+            if isinstance(message, Odometry):
+                self._odometry_stamps.append(message.stamp)
+            elif isinstance(message, Scan):
+                self._scan_stamps.append(message.stamp)
+            yield message
 
     def figures(self, report: SourceReport) -> dict[str, Any]:
         """Return the facts as entries of summary.json; `report` of reading the recording."""

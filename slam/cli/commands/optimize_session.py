@@ -16,11 +16,12 @@ from ...io.host import peak_memory
 from ...io.output_dir import PICTURE, OutputDirectory
 from ...io.recordings import open_to_map, recording_to_reopen
 from ...io.run_results import write_results
+from ...reporting.input_statistics import InputStatistics
 from ...reporting.notice_collector import NoticeCollector
 from ...run_setup import RunSetup
 from ..compilation import compile_for_recording
 from ..console import print_if_slow
-from ..run_input import InputStatistics, RecordingInput
+from ..run_input import RecordingInput, recording_entry
 from ..run_setup import READING_SESSION, without_odometry
 from ..run_summary import RunResult, check_summary, format_summary
 from ..slam_run import process_messages, review_log, write_report_page
@@ -92,13 +93,13 @@ def optimize_recording(
         started = time.perf_counter()
         with run_input.opened(lambda: None) as messages:
             slam = Slam(run_input.resolve(setup.config), [notices], keep_all_features=True)
-            finished, busy = process_messages(messages, slam, statistics, run_input.name)
+            finished, busy = process_messages(statistics.read(messages), slam, run_input.name)
         took = time.perf_counter() - started
         summary = summarise_run(
             run_input, finished, statistics, notices.texts, None, seed=None, times=RunTimes(busy, took)
         ) | {"lidars": [mount.tolist() for mount in slam.lidar_mounts]}
         session = slam.session
-        session.recordings.append(statistics.recording(run_input, slam.config, slam.lidar_mounts))
+        session.recordings.append(recording_entry(run_input, statistics, slam.config, slam.lidar_mounts))
         started = time.perf_counter()
         mapped = _Mapped(recording, session, setup.config, summary)
         summary = _optimise(directory, mapped, started, review=review, picture=picture)

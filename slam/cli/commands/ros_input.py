@@ -10,8 +10,9 @@ from drivers.messages import Odometry, Scan, SourceReport
 from drivers.ros2.receiver import MAX_WAITING_SCANS, NO_MOUNT, PAUSED, THROTTLED
 
 from ...preprocessing.deskew import lidar_mount
+from ...reporting.input_statistics import shift_after
 from ...ros.run_control import Restart, RestartRequestedError, Save, SetMode
-from ...run_setup import RunSetup, shift_after
+from ...run_setup import RunSetup
 from ..acquisition_loop import receive_messages, stop_on_signals
 from ..console import print_message
 
