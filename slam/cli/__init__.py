@@ -1,7 +1,8 @@
 """The command line `wclm`.
 
 app, commands                                  the commands, and the application that holds them
-slam_run, run_setup, run_input, run_summary, compilation  one run of SLAM, which `run`, `live`, `demo` and `batch` share
+setup_from_options, slam_run, run_input, run_summary, compilation
+                                               one run of SLAM, which `run`, `live`, `demo` and `batch` share
 acquisition_loop, device_monitor, device_options  devices
 console, signals, options, output_files, viewer  messages, signals, options, files, the Rerun viewer
 """

@@ -19,8 +19,8 @@ from ...offline.batch import Job, Row, Status, fingerprint, make_row, read_compl
 from ...offline.batch.jobs import FINGERPRINT
 from ...run_setup import RunSetup
 from ..run_input import RecordingInput
-from ..run_setup import without_odometry
 from ..run_summary import format_summary
+from ..setup_from_options import without_odometry
 from ..slam_run import run_slam
 
 MEMORY_COUNTERS = Path("/proc/self/clear_refs")

@@ -97,7 +97,7 @@ def _surveys(old: Path, new: Path, on_plan: PlanOptions, searched: bool) -> tupl
     from ...offline.map_diff.plan import survey_plan
     from ...run_setup import is_plan
     from ..plan_input import load_plan
-    from ..run_setup import READING_SESSION
+    from ..setup_from_options import READING_SESSION
 
     with print_if_slow(READING_SESSION):
         later = survey_session(new, read_session(new))

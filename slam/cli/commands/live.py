@@ -93,15 +93,15 @@ def live(
     from ...errors import MapError
     from ..plan_input import PlanOptions
     from ..run_controls import RunControls
-    from ..run_setup import prepare_run, without_odometry
     from ..run_summary import format_summary
+    from ..setup_from_options import setup_from_options, without_odometry
     from ..slam_run import run_slam
     from ..status_file import StatusFile
     from .live_input import LiveInput
     from .live_web import open_page
 
     on_plan = PlanOptions(plan, plan_unit, plan_layer or ())
-    setup = prepare_run(continued, localized, config, settings, start_pose, on_plan)
+    setup = setup_from_options(continued, localized, config, settings, start_pose, on_plan)
     with_page = web or web_address is not None
     specs, driving = _devices(lidar, base, drive, max_speed, max_turn_rate, with_page=with_page)
     _check_files(record, status, out, overwrite=overwrite)

@@ -80,7 +80,7 @@ def measure(
     from ...measuring.map_measurements import measure_walls
     from ...measuring.measured_map import MeasuredMap, measure_all
     from ...measuring.regularity import regularise
-    from ..run_setup import READING_SESSION
+    from ..setup_from_options import READING_SESSION
 
     drawn = form in (Format.SVG, Format.DXF, Format.GEOJSON)
     target = out or (session / f"{MEASURED}{form.suffix}" if drawn else None)

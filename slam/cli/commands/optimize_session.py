@@ -22,8 +22,8 @@ from ...run_setup import RunSetup
 from ..compilation import compile_for_recording
 from ..console import print_if_slow
 from ..run_input import RecordingInput, recording_entry
-from ..run_setup import READING_SESSION, without_odometry
 from ..run_summary import RunResult, check_summary, format_summary
+from ..setup_from_options import READING_SESSION, without_odometry
 from ..slam_run import process_messages, review_log, write_report_page
 
 if TYPE_CHECKING:

@@ -46,7 +46,7 @@ def report(
 
 def _read_walls(session: Path) -> WallMap:
     from ...io.wall_maps import read_wall_map
-    from ..run_setup import READING_SESSION
+    from ..setup_from_options import READING_SESSION
 
     with print_if_slow(READING_SESSION):
         return read_wall_map(session)

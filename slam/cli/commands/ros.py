@@ -95,7 +95,7 @@ def ros(
     from drivers.ros2.selection import open_link
 
     from ..plan_input import PlanOptions
-    from ..run_setup import without_odometry
+    from ..setup_from_options import without_odometry
 
     names = NodeNames.from_rules(remap or ())
     parameters = _load_parameters(params_file or [], param or [], names)
@@ -148,14 +148,14 @@ def _prepare(
     """Load the settings, and the session or the plan; options take precedence over parameters."""
     import numpy as np
 
-    from ..run_setup import prepare_run
+    from ..setup_from_options import setup_from_options
 
     overrides = [*parameters.settings(names.resolve), *(settings or ())]
     if not parameters.map_file_name or continued or localized or plan.path:
-        return prepare_run(continued, localized, config, overrides, start_pose, plan)
+        return setup_from_options(continued, localized, config, overrides, start_pose, plan)
     session = Path(parameters.map_file_name)
     continued, localized = (session, None) if parameters.mode == "mapping" else (None, session)
-    start = prepare_run(continued, localized, config, overrides, start_pose)
+    start = setup_from_options(continued, localized, config, overrides, start_pose)
     if start.pose is None and parameters.map_start_pose:
         return replace(start, pose=np.array(parameters.map_start_pose))
     if start.pose is None and parameters.map_start_at_dock and start.resumed is not None:

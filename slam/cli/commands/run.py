@@ -52,14 +52,14 @@ def run(
     from ...memory import return_freed_memory
     from ..plan_input import PlanOptions
     from ..run_input import RecordingInput
-    from ..run_setup import prepare_run, without_odometry
     from ..run_summary import format_summary
+    from ..setup_from_options import setup_from_options, without_odometry
     from ..slam_run import run_slam
 
     if refine and localized is not None:
         raise typer.BadParameter("is for runs that extend a map, not for --localize", param_hint="--refine")
     OutputDirectory(out, overwrite).check()  # before the recording is read, which takes seconds
-    start = prepare_run(
+    start = setup_from_options(
         continued, localized, config, settings, start_pose, PlanOptions(plan, plan_unit, plan_layer or ())
     )
     source, reason = open_to_map(recording, start.config.without_odometry() if no_odometry else start.config)

@@ -9,8 +9,7 @@ from pathlib import Path
 import typer
 
 from ..config import load_config
-from ..run_setup import RunSetup, is_plan
-from ..run_setup import prepare_run as prepare
+from ..run_setup import RunSetup, is_plan, prepare_run
 from .console import print_if_slow, print_message
 from .options import parse_pose
 from .plan_input import NO_PLAN, READING_PLAN, PlanOptions
@@ -18,7 +17,7 @@ from .plan_input import NO_PLAN, READING_PLAN, PlanOptions
 READING_SESSION = "reading the session"
 
 
-def prepare_run(
+def setup_from_options(
     continued: Path | None,
     localized: Path | None,
     config: Path | None,
@@ -26,7 +25,7 @@ def prepare_run(
     start: str | None,
     plan: PlanOptions = NO_PLAN,
 ) -> RunSetup:
-    """Load the settings, and the session or the plan that `--continue`, `--localize` or `--plan` names.
+    """Return what a run begins with: settings, and what `--continue`, `--localize` or `--plan` names.
 
     Settings come from `config`, else from the session, else from the defaults; `settings` override single ones. Raises
     SlamError if they are invalid, or if the session or the plan cannot be read or has no map.
@@ -38,7 +37,7 @@ def prepare_run(
     if session is None and plan.path is None and pose is not None:
         raise typer.BadParameter("needs a map, by --continue, --localize or --plan", param_hint="--start")
     with print_if_slow(READING_SESSION if session is not None and not is_plan(session) else READING_PLAN):
-        setup = prepare(
+        setup = prepare_run(
             lambda stored: load_config(config or stored, settings or ()),
             continued,
             localized,
