@@ -37,6 +37,10 @@ class RecordingError(SlamError):
         super().__init__(f"{place}: {reason}")
 
 
+class MessageError(SlamError):
+    """Message that a program has made with a wrong type, shape, order or value."""
+
+
 class DriverError(SlamError):
     """Device that violates its protocol."""
 

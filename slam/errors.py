@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.errors import DriverError, RecordingError, SlamError
+from drivers.errors import DriverError, MessageError, RecordingError, SlamError
 
 MAX_LENGTH = 300
 """Characters of an error of a library that are repeated: some contain the damaged file."""
@@ -20,10 +20,6 @@ class OutputError(SlamError):
 
 class MapError(SlamError):
     """A map or trajectory cannot be read, or a map cannot be estimated."""
-
-
-class MessageError(SlamError):
-    """A message that was added to the pipeline has a wrong type, shape, order or value."""
 
 
 class ClusterError(SlamError):

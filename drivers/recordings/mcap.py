@@ -23,6 +23,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
 
 from ..errors import RecordingError
+from ..message_arrays import with_own_arrays
 from ..messages import GroundTruth, Message, Odometry, Scan, YawRate
 from ..timestamps import to_nanoseconds
 from .chunk_indexes import ChunkIndexes
@@ -167,9 +168,12 @@ class McapWriter:
         self.close()
 
     def write(self, message: Message) -> None:
-        """Append a message; stamps should not decrease. Raises RecordingError if the stamp is invalid, a scan has no
-        beams, or the file cannot be written.
+        """Append a message; stamps should not decrease. Arrays may also be lists, or of other types of numbers.
+
+        Raises MessageError if its arrays or numbers have a wrong type or shape, and RecordingError if the stamp is
+        invalid, a scan has no beams, or the file cannot be written.
         """
+        message = with_own_arrays(message)
         if not is_valid_stamp(message.stamp):
             raise RecordingError(self.path, None, f"stamp {message.stamp} cannot be recorded")
         if isinstance(message, Scan) and not len(message.ranges):

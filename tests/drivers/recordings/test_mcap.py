@@ -12,6 +12,7 @@ import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
-from drivers import GroundTruth, Message, Odometry, RecordingError, Scan, inspect
+from drivers import GroundTruth, Message, Odometry, RecordingError, Scan, SlamError, YawRate, inspect
 from drivers.recordings.mcap import McapReader, McapWriter
 from drivers.recordings.ros_encoder import quaternion_of
 from drivers.timestamps import to_nanoseconds, to_seconds
@@ -154,6 +155,30 @@ def test_stamps_that_cannot_be_recorded_are_refused(tmp_path: Path) -> None:
         for stamp in (-1.0, math.nan, math.inf, 3e9, 1e12):
             with pytest.raises(RecordingError, match="stamp"):
                 writer.write(Odometry(stamp, np.zeros(3)))
+
+
+def test_messages_with_lists_are_written_like_those_with_arrays(tmp_path: Path, assert_same: Same) -> None:
+    messages: list[Message] = [scan(1.0, [1.5, math.nan], [0.0, 0.25]), Odometry(1.5, np.array([1.0, 2.0, 0.5]))]
+    with McapWriter(tmp_path / "a.mcap") as writer:
+        writer.write(Scan(1.0, [1.5, math.nan], [0.0, 0.25], [0, 0], 0.05, 12.3))  # type: ignore[arg-type]
+        writer.write(Odometry(1.5, (1, 2, 0.5)))  # type: ignore[arg-type]
+    assert_same(list(McapReader(tmp_path / "a.mcap")), messages)
+
+
+@pytest.mark.parametrize(
+    ("message", "problem"),
+    [
+        (scan(1.0, [1.5, 2.0], [0.0]), "scan at 1.000 s: 2 ranges, 1 angles and 2 time offsets"),
+        (Odometry(1.0, np.zeros(2)), "odometry at 1.000 s: pose must be 3 numbers"),
+        (Odometry("now", np.zeros(3)), "odometry: the stamp must be a number of seconds, not 'now'"),  # type: ignore[arg-type]
+        (YawRate(1.0, "left"), "yaw rate at 1.000 s: the rate must be a number"),  # type: ignore[arg-type]
+        ("hello", "a message must be a Scan, .* not of type str"),
+    ],
+)
+def test_messages_that_cannot_be_written_are_refused_in_one_line(tmp_path: Path, message: Any, problem: str) -> None:
+    with McapWriter(tmp_path / "a.mcap") as writer, pytest.raises(SlamError, match=problem) as raised:
+        writer.write(message)
+    assert "\n" not in str(raised.value)
 
 
 ENDLESS_WRITER = """
