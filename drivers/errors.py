@@ -37,6 +37,10 @@ class RecordingError(SlamError):
         super().__init__(f"{place}: {reason}")
 
 
+class ArgumentError(SlamError):
+    """Argument of a function with a wrong type."""
+
+
 class MessageError(SlamError):
     """Message that a program has made with a wrong type, shape, order or value."""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
 
+from .arguments import path_of
 from .devices.device_spec import is_device_spec, parse_devices
 from .errors import RecordingError
 from .messages import Source
@@ -132,7 +133,7 @@ def _open(spec: str | Path) -> Source:
         from .devices.device_source import DeviceSource
 
         return DeviceSource(parse_devices(str(spec)))
-    path = Path(spec)
+    path = path_of("spec", spec)
     suffix = path.suffix.lower()
     if not path.exists():
         raise RecordingError(path, None, "no such file or directory")

@@ -23,6 +23,7 @@ from pydantic import (
     model_validator,
 )
 
+from drivers.arguments import check_items, path_of
 from drivers.messages import MAX_TURN_PERIOD
 
 from .bounds import MAX_MOUNT, MAX_ODOMETRY_DEVIATION, MAX_TURN
@@ -259,9 +260,11 @@ def load_config(path: Path | str | None = None, overrides: Iterable[str] = ()) -
     override and the setting.
     """
     data: dict[str, Any] = {}
+    check_items("overrides", overrides, str, "texts")
     if path is not None:
+        file = path_of("path", path)
         try:
-            data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+            data = tomllib.loads(file.read_text(encoding="utf-8"))
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror or error}") from error
         except (ValueError, RecursionError) as error:

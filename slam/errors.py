@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.errors import DriverError, MessageError, RecordingError, SlamError
+from drivers.errors import ArgumentError, DriverError, MessageError, RecordingError, SlamError
 
 MAX_LENGTH = 300
 """Characters of an error of a library that are repeated: some contain the damaged file."""
@@ -59,6 +59,7 @@ def shortened(text: str) -> str:
 
 
 __all__ = [
+    "ArgumentError",
     "ClusterError",
     "ConfigurationError",
     "DriverError",

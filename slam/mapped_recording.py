@@ -5,11 +5,13 @@ from __future__ import annotations
 from base64 import b64encode
 from collections.abc import Sequence
 from html import escape
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from drivers.arguments import check_items, check_type, path_of
 from drivers.immutable import immutable
 from drivers.messages import Source
 
@@ -146,6 +148,7 @@ class MappedRecording:
         """
         from .io.exports import OccupancyGrid, place_scans
 
+        check_type("resolution", resolution, Real, "a number of metres")
         grid = OccupancyGrid(resolution)
         earlier = [] if not self.slam.extends_map else self.slam.session.recordings
         if earlier:
@@ -167,13 +170,12 @@ class MappedRecording:
         """Draw map and path into a PNG file, as `wclm run --plot` does; needs matplotlib. Raises OutputError."""
         from .visualisation.plots import plot_map
 
-        if Path(path).suffix != ".png":
+        file = path_of("path", path)
+        if file.suffix != ".png":
             raise OutputError(f"{path}: the name must end with .png")
         odometry = self.odometry if len(self.odometry) else None
         truth = None if self.truth is None else self.truth.poses
-        plot_map(
-            Path(path), self.walls, self.corners, [self.trajectory], title=self.name, odometry=odometry, truth=truth
-        )
+        plot_map(file, self.walls, self.corners, [self.trajectory], title=self.name, odometry=odometry, truth=truth)
 
     def save(self, directory: Path | str, *, overwrite: bool = False) -> None:
         """Write the output directory, as `wclm run --no-review` does: all commands read it. See `save_run`."""
@@ -191,6 +193,7 @@ class MappedRecording:
 
     def svg(self, measurements: Sequence[Measurement] = ()) -> str:
         """Return a drawing of map and path in the scale 1 : 100, with dimension lines of measurements, as SVG."""
+        check_items("measurements", measurements, Measurement, "Measurement")
         results = self._results({"recording": self.name, "slam": self.summary})
         return svg_text(results, MeasuredMap(measurements))
 

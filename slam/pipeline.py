@@ -7,9 +7,11 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
+from numbers import Integral
 from typing import TYPE_CHECKING
 
 from drivers import se2
+from drivers.arguments import check_type
 from drivers.messages import GroundTruth, InitialPose, Message, Odometry, delay_odometry, on_clock_of_first
 
 from .config import Config
@@ -318,6 +320,7 @@ class Slam:
 
         Raises MapError if there is no such keyframe.
         """
+        check_type("index", index, Integral, "a whole number")
         count = self.slam_state.mapper.keyframe_count
         if not 0 <= index < count:
             raise MapError(f"there is no keyframe {index}: the map has {counted(count, 'keyframe')}")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers import se2
+from drivers.arguments import check_items, path_of
 from drivers.messages import Source
 
 from .config import Config, load_config
@@ -63,11 +64,12 @@ def run(
     if refine and localize is not None:
         raise MapError("a run that only localises does not extend the map, so there is nothing to refine")
     check_arguments(config, sinks, None, None)
+    check_items("plan_layer", plan_layer, str, "names")
     setup = prepare_run(
         lambda stored: config or load_config(stored),
-        None if continue_ is None else Path(continue_),
-        None if localize is None else Path(localize),
-        None if plan is None else Path(plan),
+        None if continue_ is None else path_of("continue_", continue_),
+        None if localize is None else path_of("localize", localize),
+        None if plan is None else path_of("plan", plan),
         None if start is None else initial_pose(start),
         PlanDrawing(None if plan_unit is None else _unit(plan_unit), plan_layer),
     )

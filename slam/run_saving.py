@@ -10,17 +10,19 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from drivers.arguments import check_type, path_of
+
 from .events import Finished
 from .io.output_dir import REPORT, OutputDirectory
 from .io.run_results import read_run_results, write_results
 from .io.tum import Trajectory
+from .pipeline import Slam
 from .reporting.summary import summarise
 
 if TYPE_CHECKING:
     from .config import Config
     from .io.sessions import Recording
     from .offline.map_diff.plan_report import PlanReport
-    from .pipeline import Slam
 
 
 def save_run(
@@ -57,6 +59,10 @@ def save_run(
     from .io.sessions.records import to_pose
     from .visualisation.report_page import write_page
 
+    check_type("pipeline", pipeline, Slam, "a Slam")
+    check_type("finished", finished, Finished, "what finish() has returned")
+    check_type("name", name, str, "a text")
+    place = path_of("directory", directory)
     earlier = pipeline.session.recordings
     own = finished.stamps > max((one.last for one in earlier), default=-math.inf)
     driven = Trajectory(finished.stamps[own], finished.poses[own])
@@ -79,10 +85,10 @@ def save_run(
         "recordings": [one.model_dump() for one in saved],
         **(facts or {}),
     }
-    with OutputDirectory(Path(directory), overwrite) as place:
+    with OutputDirectory(place, overwrite) as folder:
         if pipeline.extends_map:
-            write_session(place, session)
-        write_results(place, finished, config or pipeline.config, summary)
+            write_session(folder, session)
+        write_results(folder, finished, config or pipeline.config, summary)
         if on_plan is not None:
-            on_plan.write(place)
-        write_page(place / REPORT, read_run_results(place))
+            on_plan.write(folder)
+        write_page(folder / REPORT, read_run_results(folder))

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers import se2
+from drivers.arguments import check_items
 
 from .config import Config
-from .errors import ConfigurationError, MapError
+from .errors import ArgumentError, MapError
 from .estimation.journal import Journal
 from .estimation.placing import INITIAL_POSE_SIGMAS
 from .estimation.plan_prior import PlanPrior
@@ -25,7 +26,7 @@ from .preprocessing.preprocessor import Preprocessor
 def check_arguments(
     config: Config | None, sinks: Sequence[Sink], resumed: StoredSession | None, plan: PlanMap | None
 ) -> None:
-    """Raise ConfigurationError if an argument of a run has another type, as the name of a file has."""
+    """Raise ArgumentError if an argument of a run has another type, as the name of a file has."""
     types = (
         ("config", config, Config, "load_config reads settings from a file"),
         ("resumed", resumed, StoredSession, "slam.io.sessions.read_session reads it"),
@@ -33,10 +34,11 @@ def check_arguments(
     )
     for name, value, kind, remedy in types:
         if value is not None and not isinstance(value, kind):
-            raise ConfigurationError(f"{name} must be a {kind.__name__}, not {type(value).__name__}; {remedy}")
+            raise ArgumentError(f"{name} must be a {kind.__name__}, not {type(value).__name__}; {remedy}")
+    check_items("sinks", sinks, object, "sinks")
     for sink in sinks:
         if not hasattr(sink, "handle"):
-            raise ConfigurationError(f"a sink must have a method handle(event), which {type(sink).__name__} has not")
+            raise ArgumentError(f"a sink must have a method handle(event), which {type(sink).__name__} has not")
 
 
 def initial_pose(start: Sequence[float] | Floats) -> se2.Pose:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .. import se2
+from ..arguments import check_type
 from ..elapsed import elapsed
 from ..gaps import Gap, UnseenStretch, gap_warnings, rate_and_gaps, unseen_stretches
 from ..messages import Floats, GroundTruth, Odometry, Scan, Source, SourceReport, YawRate
@@ -94,6 +95,7 @@ class _ScanStatistics:
 
 def inspect(source: Source) -> RecordingInfo:
     """Read a source to its end and summarise it; raises RecordingError if it cannot be read."""
+    check_type("source", source, Source, "a source, as drivers.open returns")
     scans = _ScanStatistics()
     truth = 0
     stamps: list[float] = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64decode
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import drivers
 import slam
 from drivers import se2
 from drivers.messages import Scan
 from drivers.recordings.mcap import McapWriter
 from drivers.simulation import LIDAR_MODELS, Simulation
 from slam.config import LidarConfig
-from slam.errors import OutputError, SlamError
+from slam.errors import ArgumentError, OutputError, SlamError
 from slam.io.exports import write_pgm
 from slam.io.recording_timing import UNKNOWN_MOUNT
 from slam.io.tum import read_tum_poses
@@ -154,6 +156,36 @@ def test_doubts_and_timing_are_those_of_wclm_run(wclm: Any, tmp_path: Path) -> N
     saved, written = (json.loads((tmp_path / name / "summary.json").read_text()) for name in ("saved", "map"))
     for name in ("gaps", "timing", "interpretations", "doubts", "lidars"):
         assert saved[name] == written[name]
+
+
+@pytest.mark.parametrize(
+    ("call", "problem"),
+    [
+        (lambda mapped: mapped.occupancy("a"), "resolution must be a number of metres, not str"),
+        (lambda mapped: mapped.plot(3), "path must be the name of a file or directory, not int"),
+        (lambda mapped: mapped.save(None), "directory must be the name of a file or directory, not NoneType"),
+        (lambda mapped: mapped.svg("all"), "measurements must be a list of Measurement, not str"),
+        (lambda mapped: mapped.svg([3]), "each of measurements must be Measurement, not int"),
+        (lambda mapped: mapped.slam.keyframe_covariance(0.5), "index must be a whole number, not float"),
+        (lambda mapped: slam.save_run(mapped, mapped.finished, "a"), "pipeline must be a Slam, not MappedRecording"),
+        (lambda mapped: slam.save_run(mapped.slam, mapped, "a"), "finished must be what finish.. has returned, not"),
+        (lambda mapped: slam.run(ROOM, continue_=mapped), "continue_ must be the name of .*, not MappedRecording"),
+        (
+            lambda mapped: slam.run(ROOM, plan="a.dxf", plan_layer="walls"),
+            "plan_layer must be a list of names, not str",
+        ),
+        (lambda mapped: slam.load_config({}), "path must be the name of a file or directory, not dict"),
+        (lambda mapped: slam.load_config(None, "a.b=1"), "overrides must be a list of texts, not str"),
+        (lambda mapped: drivers.open(None), "spec must be the name of a file or directory, not NoneType"),
+        (lambda mapped: drivers.inspect("a.clf"), "source must be a source, as drivers.open returns, not str"),
+    ],
+)
+def test_arguments_of_other_types_are_refused_in_one_line(
+    mapped: slam.MappedRecording, call: Callable[[Any], Any], problem: str
+) -> None:
+    with pytest.raises(ArgumentError, match=problem) as raised:
+        call(mapped)
+    assert "\n" not in str(raised.value)
 
 
 def test_a_wrong_name_is_one_line() -> None:

@@ -14,7 +14,7 @@ from drivers import se2
 from drivers.messages import GroundTruth, Message, Odometry, Scan
 from drivers.simulation import LidarModel, Simulation
 from slam import Config, Slam
-from slam.errors import ConfigurationError, MapError, SlamError
+from slam.errors import ArgumentError, MapError, SlamError
 from slam.evaluation.metrics import score_reference
 from slam.events import EventRecorder, Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, Notice, ScanTracked
 from slam.io.tum import Trajectory
@@ -70,11 +70,12 @@ def drive_result(drive: list[Message]) -> Finished:
         ({"config": "a.toml"}, "config must be a Config, not str; load_config reads settings from a file"),
         ({"resumed": "map"}, "resumed must be a StoredSession, not str; slam.io.sessions.read_session reads it"),
         ({"plan": "a.dxf"}, "plan must be a PlanMap, not str"),
+        ({"sinks": print}, "sinks must be a list of sinks, not builtin_function_or_method"),
         ({"sinks": [print]}, r"a sink must have a method handle\(event\), which builtin_function_or_method has not"),
     ],
 )
 def test_an_argument_of_another_type_is_refused_in_one_line(arguments: dict[str, Any], problem: str) -> None:
-    with pytest.raises(ConfigurationError, match=problem):
+    with pytest.raises(ArgumentError, match=problem):
         Slam(**arguments)
 
 
