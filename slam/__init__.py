@@ -7,7 +7,7 @@ slam.run("intel.clf")  # map, path and plots of a recording; displays itself in 
 import drivers
 from slam import Slam, warm_up
 
-warm_up()  # only needed online: compiles for a minute on the first run, so that no scan is delayed by it
+warm_up()  # only needed online: compiles for a minute after an installation, so that no scan is delayed by it
 pipeline = Slam()
 for message in drivers.open("intel.clf"):
     pipeline.add(message)

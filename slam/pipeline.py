@@ -33,6 +33,7 @@ from .mapping.map_features import MapCorners, MapWalls
 from .mapping.plan_map import VIEWS_END, PlanMap
 from .odometry.history import OdometryHistory
 from .odometry.motion_source import MotionSource
+from .preprocessing.extraction import warn_of_compilation
 from .preprocessing.message_check import MessageCheck
 from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
@@ -186,6 +187,7 @@ class Slam:
 
     def _start(self, first: Odometry) -> None:
         """Start at the first odometry: it continues that of the session, or the robot may be anywhere in its map."""
+        warn_of_compilation()
         self._has_odometry = True
         if self.frozen:
             self._publisher.publish(ModeChanged(first.stamp, frozen=True))

@@ -25,6 +25,7 @@ from .io.tum import Trajectory
 from .mapped_recording import MappedRecording
 from .offline.map_diff.plan_report import report_on_plan
 from .pipeline import Slam
+from .preprocessing.extraction import warn_of_compilation
 from .reporting.input_statistics import InputStatistics
 from .reporting.notice_collector import NoticeCollector
 from .run_setup import PlanDrawing, RunSetup, prepare_run
@@ -78,6 +79,7 @@ def run(
 
 def _map(recording: str, setup: RunSetup, sinks: Sequence[Sink], *, refine: bool) -> MappedRecording:
     """Map a recording from the initial state of the run on, see `run`."""
+    warn_of_compilation()
     source, reason = open_to_map(refuse_results(recording), setup.config)
     config = setup.config if reason is None else setup.config.without_odometry()
     used, timing, second = timed(source, config, None if setup.resumed is None else setup.resumed.last_mount)

@@ -81,7 +81,10 @@ from slam.warmup import {0}
 
 
 def warm_up() -> None:
-    """Compile, or load from disk, everything that a run with default settings calls."""
+    """Compile, or load from disk, everything that a run with default settings calls; online, call it before the drive.
+
+    Takes up to a minute after an installation from source, otherwise a few seconds.
+    """
     if not is_compiled():
         _compile_in_processes((compile_preprocessing, compile_estimation))
     slam = Slam(CONFIG)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from functools import cache
 from importlib import import_module
@@ -28,6 +29,7 @@ class _CompiledFunctionsFinder:
 
 def announce_compilation() -> None:
     """Print a message if this process compiles for long, whatever command it runs; imports nothing yet."""
+    logging.getLogger("slam.preprocessing.extraction").setLevel(logging.ERROR)  # its warning is for programs
     if "kernel_cache.functions" in sys.modules:
         _announce_compilation()
     else:

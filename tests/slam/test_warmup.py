@@ -6,9 +6,12 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import slam
+from drivers import Odometry
+from slam.preprocessing.extraction import warn_of_compilation
 
 COMPILED = """
 import gc, sys
@@ -47,6 +50,26 @@ for frozen in (False, True):
         continued.add(replace(message, stamp=message.stamp + 1000.0))
 print(len(before) > 5, sorted(again - before), sorted(mapped - again), sorted(compiled() - mapped))
 """
+
+
+def test_a_run_that_compiles_names_the_warm_up_once(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("slam.preprocessing.extraction.is_compiled", lambda: False)
+    warn_of_compilation.cache_clear()
+    for _ in range(2):
+        slam.Slam().add(Odometry(0.0, np.zeros(3)))
+    (record,) = caplog.records
+    assert record.levelname == "WARNING"
+    assert "slam.warm_up()" in record.message
+    warn_of_compilation.cache_clear()
+
+
+def test_a_run_that_is_compiled_logs_nothing(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("slam.preprocessing.extraction.is_compiled", lambda: True)
+    warn_of_compilation.cache_clear()
+    slam.Slam().add(Odometry(0.0, np.zeros(3)))
+    assert not caplog.records
 
 
 def test_nothing_is_compiled_after_the_warm_up(tmp_path: Path) -> None:
