@@ -58,7 +58,8 @@ def evaluate(
     """
     if relations is not None and reference is not None:
         raise typer.BadParameter("only one of the two can be given", param_hint="--relations / --reference")
-    if relations is None and reference is None and not trajectory.is_dir():
+    is_file = not trajectory.is_dir() and (trajectory.exists() or trajectory.suffix)  # by its name, if missing
+    if relations is None and reference is None and is_file:
         text = (
             "one of the two is required, unless the trajectory is an output directory, whose recording may have truth"
         )

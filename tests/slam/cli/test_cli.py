@@ -280,6 +280,10 @@ def test_wrong_arguments_are_one_line_errors_that_name_the_help(wclm: Any, comma
     wclm.refuses(*command.split(), because=[words, f"{name} --help"])
 
 
+def test_a_run_that_is_to_be_scored_must_exist(wclm: Any) -> None:
+    wclm.refuses("eval", "nowhere", because=["nowhere: no such directory; expected the output directory of `wclm run`"])
+
+
 def test_a_wrong_option_without_a_command_is_a_one_line_error(wclm: Any) -> None:
     wclm.refuses("--bogus", because=["No such option: --bogus; see ", " --help"])
 
