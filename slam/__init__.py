@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .pipeline import Slam
     from .run_recording import run
     from .run_saving import save_run
+    from .session_correction import correct, undo_correction
     from .warmup import warm_up
 
 __all__ = [
@@ -38,9 +39,11 @@ __all__ = [
     "Sink",
     "Slam",
     "SlamError",
+    "correct",
     "load_config",
     "run",
     "save_run",
+    "undo_correction",
     "warm_up",
 ]
 
@@ -54,9 +57,11 @@ _MODULES = {
     "Sink": "events",
     "Slam": "pipeline",
     "SlamError": "errors",
+    "correct": "session_correction",
     "load_config": "config",
     "run": "run_recording",
     "save_run": "run_saving",
+    "undo_correction": "session_correction",
     "warm_up": "warmup",
 }
 

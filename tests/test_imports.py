@@ -26,8 +26,8 @@ LAYERS = (
     "errors", "extras", "formatting", "memory", "bounds", "config", "geometry", "graph", "odometry", "mapping",
     "matching", "preprocessing", "localisation", "loop_closure", "recognition", "checks", "events", "estimation",
     "measuring", "io", "reporting", "run_setup", "run_start", "run_session", "run_end", "pose_extrapolation",
-    "pipeline", "warmup", "offline", "evaluation", "visualisation", "run_saving", "mapped_recording", "run_recording",
-    "ros", "cli",
+    "pipeline", "warmup", "offline", "evaluation", "visualisation", "run_saving", "session_correction",
+    "mapped_recording", "run_recording", "ros", "cli",
 )  # fmt: skip
 """Packages and modules of `slam`, from bottom to top: each may import those before it."""
 

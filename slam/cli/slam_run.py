@@ -22,8 +22,7 @@ from ..config import Config, config_to_toml
 from ..errors import MapError, MessageError
 from ..events import Finished, Sink
 from ..io.host import versions
-from ..io.output_dir import REPORT, REVIEW, OutputDirectory
-from ..io.unfinished_file import unfinished_file
+from ..io.output_dir import REVIEW, OutputDirectory
 from ..memory import LARGE_LIVE_BLOCK, return_code_of_imports, return_large_blocks
 from ..reporting.input_statistics import InputStatistics
 from ..reporting.notice_collector import NoticeCollector
@@ -111,6 +110,8 @@ def run_slam(
             log.close()
             summary, write = writer.final(slam, finished, busy, None if reviewed is None else reviewed.left_out())
             output.finish(write)
+    from ..visualisation.report_page import write_report_page
+
     write_report_page(out)
     return RunResult(summary, review)
 
@@ -212,15 +213,3 @@ def process_messages(messages: Iterable[Message], slam: Slam, name: str) -> tupl
         return finished, busy + time.perf_counter() - before
     except (MapError, MessageError) as error:
         raise MapError(f"{name}: {error}") from error
-
-
-def write_report_page(out: Path) -> None:
-    """Write the report page of an output directory.
-
-    Called when the other results are in place, so that they are not lost if it fails.
-    """
-    from ..io.run_results import read_run_results
-    from ..visualisation.report_page import write_page
-
-    with unfinished_file(out / REPORT) as unfinished:
-        write_page(unfinished, read_run_results(out))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,9 +12,6 @@ from drivers.elapsed import parse_elapsed
 
 from ..console import print_if_slow
 from ..options import OverwriteOption
-
-if TYPE_CHECKING:
-    from ...io.sessions.corrections import Correction, Place
 
 
 def correct(
@@ -64,57 +62,62 @@ def correct(
     """
     from ...io.run_results import read_run_results
     from ...io.sessions.corrections import read_corrections
+    from ...session_correction import correct as correct_session
+    from ...session_correction import undo_correction
 
-    new = [*_stated_loops(session, forbid_loop or (), close or ()), *_stated(tie or (), delete_wall or (), pins)]
-    if listed + undo + bool(new) != 1:
+    stated = [*(close or ()), *(forbid_loop or ()), *(tie or ()), *(delete_wall or ()), *([pins] if pins else [])]
+    if listed + undo + bool(stated) != 1:
         raise typer.BadParameter("state corrections, --list or --undo")
     if listed or undo:
         read_run_results(session)  # another directory has no corrections either, but that is no answer
-    present = read_corrections(session)
     if listed:
-        typer.echo("\n".join(f"{k}: {one.text}" for k, one in enumerate(present, 1)) or "no corrections")
+        texts = [f"{k}: {one.text}" for k, one in enumerate(read_corrections(session), 1)]
+        typer.echo("\n".join(texts) or "no corrections")
         return
-    if undo and not present:
+    if undo and not read_corrections(session):
         raise typer.BadParameter(f"{session} has no corrections", param_hint="--undo")
-    from .correct_session import write_corrected_session
-
     with print_if_slow("correcting the session"):
-        lines = write_corrected_session(session, present[:-1] if undo else [*present, *new], out, overwrite=overwrite)
-    if undo:
-        lines = [f"undone: {present[-1].text}", *lines]
+        if undo:
+            lines = undo_correction(session, out=out, overwrite=overwrite)
+        else:
+            lines = correct_session(
+                session,
+                close=[_closing(session, text) for text in close or ()],
+                forbid_loop=forbid_loop or (),
+                tie=[_walls(text) for text in tie or ()],
+                delete_wall=delete_wall or (),
+                pins=pins,
+                out=out,
+                overwrite=overwrite,
+            )
     typer.echo("\n".join(lines))
 
 
-def _stated_loops(session: Path, forbidden: list[int] | tuple[()], closings: list[str] | tuple[()]) -> list[Correction]:
-    """Return the corrections of loops that the options state."""
-    from ...io.sessions.corrections import LoopForbidding, PlaceClosing, ProposedClosing
-
-    corrections: list[Correction] = [LoopForbidding(loop=number) for number in forbidden]
-    for text in closings:
-        parts = [part.strip() for part in text.split(",")]
-        if len(parts) == 1 and _is_identity(parts[0]):
-            corrections.append(ProposedClosing(loop=int(parts[0])))
-        elif len(parts) == 2:
-            first, second = (_place(session, part, text) for part in parts)
-            corrections.append(PlaceClosing(places=(first, second)))
-        else:
-            raise _not_places(text)
-    return corrections
+def _closing(session: Path, text: str) -> int | tuple[float, float]:
+    """Return what an option closes: the number of a loop, or two places as keyframes or stamps (seconds)."""
+    parts = [part.strip() for part in text.split(",")]
+    if len(parts) == 1 and _is_identity(parts[0]):
+        return int(parts[0])
+    if len(parts) != 2:
+        raise _not_places(text)
+    return _place(session, parts[0], text), _place(session, parts[1], text)
 
 
-def _place(session: Path, part: str, text: str) -> Place:
-    """Return the place that a part of an option names.
+def _place(session: Path, part: str, text: str) -> float:
+    """Return the place that a part of an option names: the whole number of a keyframe, or a stamp, as a float.
 
     Raises BadParameter if it is neither keyframe, time nor stamp, and MapError if the session has no trajectory.
     """
-    from ...io.sessions.corrections import Place
-
+    if _is_identity(part):
+        return int(part)
     try:
         if ":" in part:
-            return Place(stamp=_start(session) + parse_elapsed(part))
-        return Place(stamp=float(part[:-1])) if part.endswith("s") else Place(keyframe=int(part))
+            return _start(session) + parse_elapsed(part)
+        if part.endswith("s") and math.isfinite(stamp := float(part[:-1])):
+            return stamp
     except ValueError as error:
         raise _not_places(text) from error
+    raise _not_places(text)
 
 
 def _start(session: Path) -> float:
@@ -129,19 +132,7 @@ def _not_places(text: str) -> typer.BadParameter:
     return typer.BadParameter(f"{text}: {message}", param_hint="--close")
 
 
-def _stated(ties: list[str] | tuple[()], deletions: list[int] | tuple[()], pins: Path | None) -> list[Correction]:
-    """Return the corrections that the options state."""
-    from ...io.pins_csv import read_pins
-    from ...io.sessions.corrections import WallDeletion, WallTie
-
-    return [
-        *(WallTie(walls=_pair(text)) for text in ties),
-        *(WallDeletion(wall=wall) for wall in deletions),
-        *([read_pins(pins)] if pins is not None else []),
-    ]
-
-
-def _pair(text: str) -> tuple[int, int]:
+def _walls(text: str) -> tuple[int, int]:
     """Return the two walls that an option names; raises BadParameter if it is not two identities."""
     parts = text.split(",")
     if len(parts) != 2 or not all(_is_identity(part.strip()) for part in parts):

@@ -62,17 +62,16 @@ def draw_forbidden_loop(path: Path, session: Path) -> None:
     """Draw what `wclm correct --forbid-loop` changes around the last closed loop of a run. Raises SlamError."""
     from ...io.run_results import read_run_results
     from ...io.sessions import read_session
-    from ...io.sessions.corrections import LoopForbidding
     from ...loop_closure.loop_status import LoopStatus
+    from ...session_correction import correct
     from ...visualisation.plots.correction import plot_correction
-    from .correct_session import write_corrected_session
 
     rows = [row for row in read_session(session).loop_decisions if row["status"] == LoopStatus.ACCEPTED]
     if not rows:
         raise MapError(f"{session}: no loop was closed")
     loop, visits = int(rows[-1]["candidate"]), (int(rows[-1]["old"]), int(rows[-1]["keyframe"]))
     corrected = session.with_name(f"{session.name}-corrected")
-    write_corrected_session(session, [LoopForbidding(loop=loop)], corrected, overwrite=False)
+    correct(session, forbid_loop=[loop], out=corrected)
     before, after = read_run_results(session), read_run_results(corrected)
     moved = after.summary["corrections"][0]["shift"]
     plot_correction(

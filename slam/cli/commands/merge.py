@@ -50,9 +50,10 @@ def _merge(paths: list[Path], out: Path, *, overwrite: bool, review: bool, pictu
     """Merge the sessions into a new one. Raises SlamError; then nothing is left behind."""
     from ...io.output_dir import PICTURE, OutputDirectory
     from ...io.run_results import write_results
+    from ...visualisation.report_page import write_report_page
     from ..run_summary import RunResult
     from ..setup_from_options import READING_SESSION
-    from ..slam_run import review_log, write_report_page
+    from ..slam_run import review_log
 
     with OutputDirectory(out, overwrite) as directory, ExitStack() as log:
         from ...events import Notice

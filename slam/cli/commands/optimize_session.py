@@ -24,7 +24,7 @@ from ..console import print_if_slow
 from ..run_input import RecordingInput, recording_entry
 from ..run_summary import RunResult, check_summary, format_summary
 from ..setup_from_options import READING_SESSION, without_odometry
-from ..slam_run import process_messages, review_log, write_report_page
+from ..slam_run import process_messages, review_log
 
 if TYPE_CHECKING:
     from ...events import Event, Sink
@@ -71,8 +71,7 @@ def optimize_session(path: Path, out: Path, *, overwrite: bool, review: bool, pi
             session = read_session(path)
         mapped = _Mapped(str(path), session, results.config(), results.summary)
         summary = _optimise(directory, mapped, started, review=review, picture=picture)
-    write_report_page(out)
-    return _lines(summary, out, review=review)
+    return _report(summary, out, review=review)
 
 
 def optimize_recording(
@@ -103,8 +102,7 @@ def optimize_recording(
         started = time.perf_counter()
         mapped = _Mapped(recording, session, setup.config, summary)
         summary = _optimise(directory, mapped, started, review=review, picture=picture)
-    write_report_page(out)
-    return _lines(summary, out, review=review)
+    return _report(summary, out, review=review)
 
 
 @immutable
@@ -167,8 +165,11 @@ def _optimise(directory: Path, mapped: _Mapped, started: float, *, review: bool,
     return summary
 
 
-def _lines(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
-    """Return the lines of a run's summary, with the changes instead of the time."""
+def _report(summary: dict[str, Any], out: Path, *, review: bool) -> list[str]:
+    """Write the report page; return the lines of the run's summary, with the changes instead of the time."""
+    from ...visualisation.report_page import write_report_page
+
+    write_report_page(out)
     changed = summary["slam"]["refinement"]
     head, first, _, *others = format_summary(RunResult(summary, review), out)
     rows = [

@@ -21,8 +21,8 @@ def recover(
     from ...errors import SlamError
     from ...io.output_dir import REPORT, SUMMARY
     from ...io.recovery import recover_results
+    from ...visualisation.report_page import write_report_page
     from ..console import print_message
-    from ..slam_run import write_report_page
 
     lines = recover_results(out)
     if (out / SUMMARY).is_file() and not (out / REPORT).exists():

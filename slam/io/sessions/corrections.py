@@ -18,7 +18,8 @@ from .records import Finite, Record, validated
 
 CORRECTIONS = "corrections.json"
 UNCORRECTED = "uncorrected"
-Identity = Annotated[int, Field(ge=0, lt=1 << 31)]
+MAX_IDENTITY = 1 << 31
+Identity = Annotated[int, Field(ge=0, lt=MAX_IDENTITY)]
 Deviation = Annotated[Finite, Field(ge=1e-6)]
 
 

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from .page import check_page, write_page
+from .page import check_page, write_page, write_report_page
 
-__all__ = ["check_page", "write_page"]
+__all__ = ["check_page", "write_page", "write_report_page"]

@@ -10,8 +10,9 @@ from pathlib import Path
 from string import Template
 
 from ...io.exports.svg_drawing import PATH_CLASSES, SIGMAS, UNKNOWN_CLASS, Drawing, draw_map
-from ...io.output_dir import CONFIG
-from ...io.run_results import RunResults, refusing_damaged_summary
+from ...io.output_dir import CONFIG, REPORT
+from ...io.run_results import RunResults, read_run_results, refusing_damaged_summary
+from ...io.unfinished_file import unfinished_file
 from ...measuring.wall_map import WallMap
 from . import sections
 from .confidence import SWITCH, confidence_section
@@ -29,6 +30,15 @@ def write_page(path: Path, session: RunResults, wall_map: WallMap | None = None)
     wall_map  walls with their joint covariance: two walls that are chosen are measured
     """
     path.write_bytes(_encoded(session, wall_map))
+
+
+def write_report_page(out: Path) -> None:
+    """Write the report page of an output directory.
+
+    Called when the other results are in place, so that they are not lost if it fails.
+    """
+    with unfinished_file(out / REPORT) as unfinished:
+        write_page(unfinished, read_run_results(out))
 
 
 def check_page(session: RunResults) -> None:

@@ -296,7 +296,7 @@ def test_results_are_kept_if_the_page_fails(
     def fails(*_: object) -> None:
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr("slam.visualisation.report_page.write_page", fails)
+    monkeypatch.setattr("slam.visualisation.report_page.page.write_page", fails)
     result = wclm("run", "sim:room?duration=3&lidar=short", "--out", "out", "--no-review")
     assert isinstance(result.exception, ZeroDivisionError)
     present = {file.name for file in (tmp_path / "out").iterdir()}
