@@ -49,8 +49,8 @@ joint = settled_wall_map(pipeline.slam_state.mapper).covariance
 print(f"joint covariance of {len(result.walls)} walls: {joint.shape}")
 
 # Keyframes: poses with covariances (k, 3, 3) in each pose's own frame. `poses` are those at all stamps, without.
-worst = int(np.argmax(np.trace(result.keyframe_covariance[:, :2, :2], axis1=1, axis2=2)))
-sigmas = np.sqrt(np.diag(result.keyframe_covariance[worst]))
+worst = int(np.argmax(np.trace(result.keyframes.covariance[:, :2, :2], axis1=1, axis2=2)))
+sigmas = np.sqrt(np.diag(result.keyframes.covariance[worst]))
 print(f"least certain keyframe {worst}: ± {1e3 * sigmas[0]:.1f} mm ahead, ± {1e3 * sigmas[1]:.1f} mm to its left")
 
 score = score_reference(Trajectory(result.stamps, result.poses), reference)  # both are aligned first
@@ -66,7 +66,7 @@ if len(sys.argv) > 1:
     true = se2.compose(se2.inverse(score.alignment), reference.poses)  # into the map
     axes.plot(*true[:, :2].T, "--", label="reference")
     turns = np.linspace(0.0, 2.0 * np.pi, 50)
-    for pose, covariance in zip(result.keyframes, result.keyframe_covariance, strict=True):
+    for pose, covariance in zip(result.keyframes.poses, result.keyframes.covariance, strict=True):
         ellipse = 100.0 * np.linalg.cholesky(covariance[:2, :2]) @ np.stack([np.cos(turns), np.sin(turns)])
         corners = se2.compose(pose, np.column_stack([ellipse.T, np.zeros(len(turns))]))  # from the pose's own frame
         axes.plot(*corners[:, :2].T, color="tab:blue", linewidth=0.5)

@@ -17,7 +17,7 @@ import slam
 
 mapped = slam.run("sim:bare_corridor?lidar=short&duration=60")
 graph, values = mapped.factor_graph()
-stamps, keyframes = mapped.finished.keyframe_stamps, mapped.finished.keyframes
+stamps, keyframes = mapped.finished.keyframes.stamps, mapped.finished.keyframes.poses
 first, last = gtsam.symbol("x", 0), gtsam.symbol("x", len(keyframes) - 1)
 
 # The distance between the first and the last keyframe as the tape measures it: here from the simulation.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .errors import SlamError
     from .events import Event, Finished, Sink
     from .mapped_recording import MappedRecording
-    from .mapping.map_features import MapCorners, MapWalls
+    from .mapping.map_features import Keyframes, MapCorners, MapWalls
     from .pipeline import Slam
     from .run_recording import run
     from .run_saving import save_run
@@ -33,6 +33,7 @@ __all__ = [
     "Config",
     "Event",
     "Finished",
+    "Keyframes",
     "MapCorners",
     "MapWalls",
     "MappedRecording",
@@ -51,6 +52,7 @@ _MODULES = {
     "Config": "config",
     "Event": "events",
     "Finished": "events",
+    "Keyframes": "mapping.map_features",
     "MapCorners": "mapping.map_features",
     "MapWalls": "mapping.map_features",
     "MappedRecording": "mapped_recording",

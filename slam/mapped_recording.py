@@ -21,12 +21,11 @@ from .events import Finished
 from .formatting import counted
 from .geometry.segments import Floats
 from .io.exports.svg import svg_text
-from .io.keyframes_csv import Keyframes
 from .io.recordings import open_recording
 from .io.run_results import RunResults
 from .io.tum import Trajectory
 from .io.wall_maps import settled_wall_map
-from .mapping.map_features import MapCorners, MapWalls
+from .mapping.map_features import Keyframes, MapCorners, MapWalls
 from .measuring.map_measurements import measure_map
 from .measuring.measured_map import MeasuredMap
 from .measuring.measurement import Measurement
@@ -99,8 +98,8 @@ class MappedRecording:
 
     @property
     def keyframes(self) -> Keyframes:
-        """Stamps (k,) and poses (k, 3) of the keyframes, with covariances (k, 3, 3) in each pose's own frame."""
-        return Keyframes.of(self.finished)
+        """Keyframes with covariances."""
+        return self.finished.keyframes
 
     @property
     def interpretations(self) -> list[str]:

@@ -18,6 +18,7 @@ from .estimation.slam_state import SlamState
 from .events import Finished
 from .io.stored_session import StoredSession
 from .loop_closure.agreement import LoopAgreement
+from .mapping.map_features import Keyframes
 from .memory import return_freed_memory
 from .preprocessing.preprocessor import Preprocessor
 from .reporting.run_statistics import RunStatistics
@@ -122,8 +123,7 @@ class RunSnapshot:
         return Finished(
             walls=replace(walls, covariance=of_walls),
             corners=replace(corners, covariance=of_corners),
-            keyframe_stamps=np.array(state.keyframe_stamps),
-            keyframes=mapper.keyframe_poses,
+            keyframes=Keyframes.without_covariance(np.array(state.keyframe_stamps), mapper.keyframe_poses),
             stamps=stamps[later],
             poses=poses[later],
             summary=self.summary,

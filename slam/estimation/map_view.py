@@ -14,7 +14,7 @@ from ..geometry.wall_intersection import intersect_walls
 from ..graph.graph_estimate import Marginals
 from ..mapping.drift_covariance import DriftCovariance
 from ..mapping.landmarks import Landmarks
-from ..mapping.map_features import MapCorners, MapWalls
+from ..mapping.map_features import Keyframes, MapCorners, MapWalls
 from ..mapping.mapper import Mapper
 from ..mapping.overlap_suppression import suppress_overlapping_walls
 from .slam_state import SlamState
@@ -35,15 +35,14 @@ def final_result(
     mapper = state.mapper
     marginals, drift = mapper.graph.marginals(), DriftCovariance(mapper)
     walls, corners = _features(mapper, marginals, drift)
+    covariance = mapper.covariances.of_all(marginals, drift) + sweep_covariances
     return Finished(
         walls=walls,
         corners=corners,
-        keyframe_stamps=np.array(state.keyframe_stamps),
-        keyframes=mapper.keyframe_poses,
+        keyframes=Keyframes(np.array(state.keyframe_stamps), mapper.keyframe_poses, covariance),
         stamps=trajectory[0],
         poses=trajectory[1],
         summary=summary,
-        keyframe_covariance=mapper.covariances.of_all(marginals, drift) + sweep_covariances,
     )
 
 

@@ -64,16 +64,16 @@ def measure(
     for message in simulation if messages is None else messages:
         slam.add(message)
     finished = slam.finish()
-    covariances = finished.keyframe_covariance
-    assert covariances is not None
     truth, shifts = _true_poses(simulation, finished)
     sweeps = slam.session.scan_history().sweep_covariances
     covariances = (
-        covariances + np.einsum("ki,kj->kij", shifts, shifts) + _moved(sweeps[0], se2.between(truth, truth[0]))
+        finished.keyframes.covariance
+        + np.einsum("ki,kj->kij", shifts, shifts)
+        + _moved(sweeps[0], se2.between(truth, truth[0]))
     )
     walls = true_walls(simulation.world if straight is None else straight, truth[0])
     return Nees(
-        poses=pose_nees(finished.keyframes[1:], covariances[1:], se2.between(truth[0], truth[1:])),
+        poses=pose_nees(finished.keyframes.poses[1:], covariances[1:], se2.between(truth[0], truth[1:])),
         walls=wall_nees(finished.walls, walls),
         corners=corner_nees(finished.corners, finished.walls, walls),
         relative_poses=_relative_pose_nees(slam, finished, truth, shifts, sweeps),
@@ -89,7 +89,7 @@ def _true_poses(simulation: Simulation, finished: Finished) -> tuple[Floats, Flo
     delay = cast("dict[str, float] | None", finished.summary["scan_delay"])
     seconds, sigma = (delay["seconds"], delay["sigma"]) if delay and delay["significant"] else (0.0, 0.0)
     before, truth, after = (
-        simulation.trajectory.poses_at(finished.keyframe_stamps - seconds + step * sigma) for step in (-0.5, 0.0, 0.5)
+        simulation.trajectory.poses_at(finished.keyframes.stamps - seconds + step * sigma) for step in (-0.5, 0.0, 0.5)
     )
     shifts = se2.between(before, after)
     return truth, shifts - np.einsum("kij,j->ki", se2.adjoint(se2.between(truth, truth[0])), shifts[0])
@@ -111,7 +111,7 @@ def _relative_pose_nees(slam: Slam, finished: Finished, truth: Floats, shifts: F
     second = first + RELATIVE_KEYFRAMES
     if not len(first):
         return np.zeros(0)
-    mapper, estimate = slam.slam_state.mapper, finished.keyframes
+    mapper, estimate = slam.slam_state.mapper, finished.keyframes.poses
     pairs = zip(first.tolist(), second.tolist(), strict=True)
     covariances = np.array([mapper.covariances.relative(*pair) for pair in pairs])
     relative, true = (se2.between(poses[first], poses[second]) for poses in (estimate, truth))

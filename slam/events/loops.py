@@ -43,16 +43,16 @@ class ComparedPoints:
 class Correction:
     """Change of trajectory and map by a loop closure or a retraction.
 
-    keyframes_before  (k, 3) poses before
-    keyframes         (k, 3) poses after
-    walls_before      walls before
-    chi2_before       robust cost of the graph before
-    chi2_strained     robust cost with the factors of the closure before anything moved; NaN for a retraction
-    chi2              robust cost after
+    keyframe_poses_before  (k, 3) before
+    keyframe_poses         (k, 3) after
+    walls_before           walls before
+    chi2_before            robust cost of the graph before
+    chi2_strained          robust cost with the factors of the closure before anything moved; NaN for a retraction
+    chi2                   robust cost after
     """
 
-    keyframes_before: Floats
-    keyframes: Floats
+    keyframe_poses_before: Floats
+    keyframe_poses: Floats
     walls_before: MapWalls
     chi2_before: float
     chi2_strained: float
@@ -60,7 +60,7 @@ class Correction:
 
     def shifts(self) -> Floats:
         """Return the distance (k,) that each keyframe moved, metres."""
-        return np.asarray(np.hypot(*(self.keyframes - self.keyframes_before)[:, :2].T))
+        return np.asarray(np.hypot(*(self.keyframe_poses - self.keyframe_poses_before)[:, :2].T))
 
 
 @immutable

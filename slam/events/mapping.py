@@ -54,16 +54,16 @@ class KeyframeAdded:
 class MapUpdated:
     """The whole map after keyframe `index`; published every few keyframes and after a loop closure.
 
-    keyframes  (k, 3) poses
-    walls      walls, `corners` corners, with covariances as they were when each was last seen
-    chi2       robust cost of the graph
-    dof        degrees of freedom of the graph, its expected cost if the noise is as modelled; 0: unknown
-    shift      largest distance a keyframe has moved since the last MapUpdated, metres
+    keyframe_poses  (k, 3) in the map
+    walls           walls, `corners` corners, with covariances as they were when each was last seen
+    chi2            robust cost of the graph
+    dof             degrees of freedom of the graph, its expected cost if the noise is as modelled; 0: unknown
+    shift           largest distance a keyframe has moved since the last MapUpdated, metres
     """
 
     index: int
     stamp: float
-    keyframes: Floats
+    keyframe_poses: Floats
     walls: MapWalls
     corners: MapCorners
     chi2: float

@@ -8,7 +8,7 @@ from drivers.immutable import immutable
 
 from ..formatting import counted
 from ..geometry.segments import Floats
-from ..mapping.map_features import MapCorners, MapWalls
+from ..mapping.map_features import Keyframes, MapCorners, MapWalls
 
 
 @immutable
@@ -39,23 +39,19 @@ class SuspectFound:
 class Finished:
     """The run is over: final map and trajectory.
 
-    walls, corners       walls and corners with marginal covariances
-    keyframe_stamps      (k,) seconds
-    keyframes            (k, 3) poses
-    stamps               (m,) seconds of all odometry readings and scans
-    poses                (m, 3) of the base in the map at these stamps
-    summary              counts, timings and learned values, as plain data
-    keyframe_covariance  (k, 3, 3) in each keyframe's own frame; None if they were not requested
+    walls, corners  walls and corners with marginal covariances
+    keyframes       keyframes with marginal covariances
+    stamps          (m,) seconds of all odometry readings and scans
+    poses           (m, 3) of the base in the map at these stamps
+    summary         counts, timings and learned values, as plain data
     """
 
     walls: MapWalls
     corners: MapCorners
-    keyframe_stamps: Floats
-    keyframes: Floats
+    keyframes: Keyframes
     stamps: Floats
     poses: Floats
     summary: dict[str, object] = field(default_factory=dict)
-    keyframe_covariance: Floats | None = None
 
     def __repr__(self) -> str:
         found = (len(self.walls), "wall"), (len(self.corners), "corner"), (len(self.keyframes), "keyframe")

@@ -3,53 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drivers.immutable import immutable
-
 from ..bounds import MAX_LENGTH
 from ..errors import MapError
-from ..geometry.segments import Floats
-
-if TYPE_CHECKING:
-    from ..events import Finished
+from ..mapping.map_features import Keyframes
 
 COLUMNS = ("stamp", "x", "y", "heading", "xx", "xy", "xh", "yy", "yh", "hh")
 UPPER_TRIANGLE = np.triu_indices(3)
-
-
-@immutable
-class Keyframes:
-    """Poses of k keyframes.
-
-    stamps      (k,) seconds
-    poses       (k, 3) in the map
-    covariance  (k, 3, 3) of each pose in the keyframe's own frame; NaN if unknown
-    """
-
-    stamps: Floats
-    poses: Floats
-    covariance: Floats
-
-    @classmethod
-    def of(cls, finished: Finished) -> Keyframes:
-        """Return the keyframes of a finished run."""
-        covariance = finished.keyframe_covariance
-        if covariance is None:
-            covariance = np.full((len(finished.keyframes), 3, 3), np.nan)
-        return cls(finished.keyframe_stamps, finished.keyframes, covariance)
-
-    def __len__(self) -> int:
-        return len(self.stamps)
-
-    def position_sigma(self) -> Floats:
-        """Return (k,) the standard deviation of each position in its most uncertain direction, metres."""
-        result = np.full(len(self), np.nan)
-        known = np.isfinite(self.covariance).all(axis=(1, 2))
-        result[known] = np.sqrt(np.linalg.eigvalsh(self.covariance[known, :2, :2])[:, -1].clip(min=0.0))
-        return result
 
 
 def write_keyframes(path: Path, keyframes: Keyframes) -> None:

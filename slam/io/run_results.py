@@ -15,10 +15,10 @@ from ..config import Config, config_to_toml, load_config, validated_config
 from ..errors import MapError, first_line
 from ..events import Finished
 from ..geometry.segments import Floats
-from ..mapping.map_features import MapCorners, MapWalls
+from ..mapping.map_features import Keyframes, MapCorners, MapWalls
 from .drives import split_drives
 from .json_files import read_json, to_json_types, write_json
-from .keyframes_csv import Keyframes, read_keyframes, write_keyframes
+from .keyframes_csv import read_keyframes, write_keyframes
 from .map_json import read_map, write_map
 from .output_dir import CONFIG, KEYFRAMES, MAP, SUMMARY, TRAJECTORY, require_results
 from .recorded_stamps import as_read, as_recorded
@@ -94,7 +94,7 @@ def write_results(directory: Path, finished: Finished, config: Config, summary: 
     """
     stamps = as_recorded(finished.stamps, summary)
     write_tum(directory / TRAJECTORY, Trajectory(finished.stamps, finished.poses), stamps)
-    write_keyframes(directory / KEYFRAMES, Keyframes.of(finished))
+    write_keyframes(directory / KEYFRAMES, finished.keyframes)
     write_map(directory / MAP, finished.walls, finished.corners)
     (directory / CONFIG).write_text(config_to_toml(config), encoding="utf-8")
     write_json(directory / SUMMARY, summary)

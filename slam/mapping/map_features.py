@@ -1,4 +1,4 @@
-"""Walls and corners of the map as plain data."""
+"""Walls, corners and keyframes of the map as plain data."""
 
 from __future__ import annotations
 
@@ -81,3 +81,35 @@ class MapCorners:
 
     def __repr__(self) -> str:
         return f"<MapCorners: {counted(len(self), 'corner')}>"
+
+
+@immutable
+class Keyframes:
+    """Poses of k keyframes.
+
+    stamps      (k,) seconds
+    poses       (k, 3) in the map
+    covariance  (k, 3, 3) of each pose in the keyframe's own frame; NaN if unknown
+    """
+
+    stamps: Floats
+    poses: Floats
+    covariance: Floats
+
+    @classmethod
+    def without_covariance(cls, stamps: Floats, poses: Floats) -> Keyframes:
+        """Return keyframes whose covariance is unknown."""
+        return cls(stamps, poses, np.full((len(poses), 3, 3), np.nan))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __repr__(self) -> str:
+        return f"<Keyframes: {counted(len(self), 'keyframe')}>"
+
+    def position_sigma(self) -> Floats:
+        """Return (k,) the standard deviation of each position in its most uncertain direction, metres."""
+        result = np.full(len(self), np.nan)
+        known = np.isfinite(self.covariance).all(axis=(1, 2))
+        result[known] = np.sqrt(np.linalg.eigvalsh(self.covariance[known, :2, :2])[:, -1].clip(min=0.0))
+        return result

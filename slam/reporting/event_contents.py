@@ -106,8 +106,8 @@ def _correction(decision: LoopDecision, mapper: Mapper, superseded: Mapper) -> C
     count = decision.keyframe + 1
     closed = decision.status == LoopStatus.ACCEPTED
     return Correction(
-        keyframes_before=superseded.graph.keyframe_poses(count),
-        keyframes=mapper.graph.keyframe_poses(count),
+        keyframe_poses_before=superseded.graph.keyframe_poses(count),
+        keyframe_poses=mapper.graph.keyframe_poses(count),
         walls_before=map_features(superseded)[0],
         chi2_before=superseded.graph.chi2(),
         chi2_strained=mapper.graph.chi2_at(superseded.graph) if closed else math.nan,

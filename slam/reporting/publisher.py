@@ -211,7 +211,7 @@ class Publisher:
             MapUpdated(
                 index=len(keyframes) - 1 if index is None else index,
                 stamp=stamp,
-                keyframes=keyframes,
+                keyframe_poses=keyframes,
                 walls=replace(walls, covariance=of_walls),
                 corners=replace(corners, covariance=of_corners),
                 chi2=mapper.graph.chi2(),

@@ -159,8 +159,8 @@ class NodeOutputs:
                 self._run.counts = {name: str(count) for name, count in event.counts.items()}
                 self._grid.add(event.stamp - self.shift, event.points, self._lidars, event.pose)
             case MapUpdated():
-                self._grid.move(event.keyframes)
-                self._publish_markers(event.stamp, event.walls, event.corners, event.keyframes)
+                self._grid.move(event.keyframe_poses)
+                self._publish_markers(event.stamp, event.walls, event.corners, event.keyframe_poses)
             case LoopDecided():
                 self._keep_closure(event)
             case StateChanged():
@@ -174,8 +174,8 @@ class NodeOutputs:
             case SuspectFound():
                 self._run.suspects.append(event.text)
             case Finished():
-                self._grid.move(event.keyframes)
-                self._publish_markers(float(event.stamps[-1]), event.walls, event.corners, event.keyframes)
+                self._grid.move(event.keyframes.poses)
+                self._publish_markers(float(event.stamps[-1]), event.walls, event.corners, event.keyframes.poses)
                 self._publish_status(float(event.stamps[-1]))
 
     def report_missing(self, missing: list[str]) -> None:

@@ -36,19 +36,19 @@ def with_closure(events: Sequence[Event]) -> list[Event]:
 
 def closure(event: MapUpdated) -> LoopDecided:
     walls = event.walls.end_points()[:6]
-    drifted = event.keyframes + np.linspace(0, 1, len(event.keyframes))[:, None] * [1.5, 1.0, 0.0]
+    drifted = event.keyframe_poses + np.linspace(0, 1, len(event.keyframe_poses))[:, None] * [1.5, 1.0, 0.0]
     compared = ComparedPoints(walls[:, 0] + 1.0, walls[:, 0], event.walls.end_points()[:, 0])
     return LoopDecided(
         index=event.index, stamp=event.stamp, candidate=1, old=3, motion=np.array([-1.5, -1.0, 0.0]),
         status=LoopStatus.ACCEPTED, reason="all checks passed", overlap_ratio=0.9, matches=5, runner_up=0.2, sigma=0.01,
         contradicted=0.0, merged=((0, 40),), shift=1.8,
         checks=(LoopCheck("support", 5.0, 4.0, True, True),), compared=compared,
-        correction=Correction(drifted, event.keyframes, event.walls, 100.0, 5000.0, 120.0),
+        correction=Correction(drifted, event.keyframe_poses, event.walls, 100.0, 5000.0, 120.0),
     )  # fmt: skip
 
 
 def inspection(event: MapUpdated) -> GraphInspected:
-    keyframes = np.arange(1, len(event.keyframes))
+    keyframes = np.arange(1, len(event.keyframe_poses))
     steps = np.column_stack([keyframes - 1, keyframes])
     seen = np.column_stack([keyframes, event.walls.identity[keyframes % len(event.walls)]])
     kinds = (ODOMETRY,) * len(steps) + (WALL,) * len(seen)

@@ -19,7 +19,7 @@ from slam.config import Config
 from slam.estimation.slam_state import SlamState
 from slam.events import Event, Finished, Notice
 from slam.io.sessions import StoredSession
-from slam.mapping.map_features import MapCorners, MapWalls
+from slam.mapping.map_features import Keyframes, MapCorners, MapWalls
 from slam.odometry.history import OdometryHistory
 from slam.visualisation.rerun_log import ReviewLog
 
@@ -51,7 +51,8 @@ def finished() -> Finished:
     )
     stamps = np.linspace(0, 20, 101)
     poses = np.column_stack([1 + 0.2 * stamps, 2 + np.sin(stamps / 4), np.arctan2(np.cos(stamps / 4) / 4, 0.2)])
-    return Finished(lines, corners, stamps[::20], poses[::20], stamps, poses, {"closures": 0})
+    keyframes = Keyframes.without_covariance(stamps[::20], poses[::20])
+    return Finished(lines, corners, keyframes, stamps, poses, {"closures": 0})
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from rerun.chunk import RrdReader
 from drivers import se2
 from slam.events import Finished, GroundTruthReceived, KeyframeAdded, MapUpdated, Notice, ScanTracked, WallsMerged
 from slam.geometry.segments import CornerPoints, Segments
-from slam.mapping.map_features import MapCorners, MapWalls
+from slam.mapping.map_features import Keyframes, MapCorners, MapWalls
 from slam.visualisation.rerun_log import ReviewLog
 
 # A corridor around a block, 24 m by 16 m outside; walls are seen from inside the corridor.
@@ -101,7 +101,8 @@ class Corridor:
                 yield MapUpdated(index, stamp, path, self.lines(), self.corners(), 3.0 * index, 0.3 * (index == 40))
         path, stamps = np.array(estimates), self.start + 0.5 * np.arange(len(estimates))
         summary: dict[str, object] = {"keyframes": len(estimates), "times": {"median": 1.25, "of": "a|b"}}
-        yield Finished(self.lines(True), self.corners(), stamps, path, stamps, path, summary)
+        keyframes = Keyframes.without_covariance(stamps, path)
+        yield Finished(self.lines(True), self.corners(), keyframes, stamps, path, summary)
 
     def keyframe(self, index, stamp, truth, estimate, odometry):
         local = se2.compose(se2.inverse(truth), self.walls[:, :3])

@@ -239,7 +239,7 @@ def test_a_run_from_an_unknown_place_is_relocalised_and_extends_the_map(
     assert session.starts == [0, len(read_session(left).scans)]
     drives = session.scan_history()
     assert session.starts[1] in drives.kidnapped
-    poses = drives.scan_poses(finished.keyframes)  # of all scans, also those before the relocalisation
+    poses = drives.scan_poses(finished.keyframes.poses)  # of all scans, also those before the relocalisation
     there = aligned(finished, second)
     rows = [k for k, scan in enumerate(session.scans) if scan.stamp > LATER]
     truth = at_truth(replace(finished, stamps=drives.stamps[rows], poses=poses[rows]), second)
@@ -307,7 +307,7 @@ def test_on_a_frozen_map_only_the_trajectory_is_new(first: list[Message], mapped
     assert notices == ["relocalised in the map"]
     for name in ("frame", "covariance", "low", "high", "observations"):
         np.testing.assert_allclose(getattr(finished.walls, name), getattr(before.walls, name), rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(finished.keyframes, before.keyframes, atol=1e-6)
+    np.testing.assert_allclose(finished.keyframes.poses, before.keyframes.poses, atol=1e-6)
     assert finished.stamps[0] > LATER
     assert error(finished, second, before, first) < 0.01
 

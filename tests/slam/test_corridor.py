@@ -36,9 +36,9 @@ def test_a_bare_corridor_leaves_the_way_along_it_to_odometry(seed: int) -> None:
     assert abs(np.sin(changes[0].direction)) < np.sin(np.radians(2.0))  # the corridor runs along x
 
     stamps, *columns = np.array(truth).T
-    true = np.array([np.interp(result.keyframe_stamps, stamps, column) for column in columns]).T
-    driven, found = se2.between(true[0], true), se2.between(result.keyframes[0], result.keyframes)
-    error, covariance = se2.between(driven, found), result.keyframe_covariance
+    true = np.array([np.interp(result.keyframes.stamps, stamps, column) for column in columns]).T
+    driven, found = se2.between(true[0], true), se2.between(result.keyframes.poses[0], result.keyframes.poses)
+    error, covariance = se2.between(driven, found), result.keyframes.covariance
     sigmas = np.sqrt(covariance[:, [0, 1, 2], [0, 1, 2]])
     claimed = slam.config.odometry.translation_error * driven[-1, 0]  # nothing has shown that wheels are any better
     assert sigmas[-1, 0] > claimed

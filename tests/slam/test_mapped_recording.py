@@ -121,7 +121,7 @@ def test_own_factors_can_be_added_to_a_copy_of_the_graph(mapped: slam.MappedReco
     graph, values = mapped.factor_graph()
     key = gtsam.symbol("x", len(mapped.finished.keyframes) - 1)
     pose = values.atPose2(key)
-    np.testing.assert_allclose([pose.x(), pose.y()], mapped.finished.keyframes[-1, :2], atol=1e-6)
+    np.testing.assert_allclose([pose.x(), pose.y()], mapped.finished.keyframes.poses[-1, :2], atol=1e-6)
     count = graph.size()
     graph.add(gtsam.PriorFactorPose2(key, gtsam.Pose2(9.0, 9.0, 0.0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-4)))
     moved = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize().atPose2(key)

@@ -155,7 +155,7 @@ def test_events_are_complete_and_in_order(drive: list[Message]) -> None:
     scans = [message for message in drive if isinstance(message, Scan)]
     keyframes, tracked = listener.of(KeyframeAdded), listener.of(ScanTracked)
     assert [event.index for event in keyframes] == list(range(len(finished.keyframes)))
-    assert [event.stamp for event in keyframes] == list(finished.keyframe_stamps)
+    assert [event.stamp for event in keyframes] == list(finished.keyframes.stamps)
     assert len(tracked) == len(scans)
     assert (np.diff([event.stamp for event in tracked]) > 0).all()
     assert len(listener.of(GroundTruthReceived)) == sum(isinstance(message, GroundTruth) for message in drive)

@@ -81,7 +81,7 @@ def mapped(drive: Iterable[Message], slam: Slam, gap: tuple[float, float] = (0.0
             slam.add(message)
     result, true = slam.finish(), np.array(truth)
     expected = np.column_stack([np.interp(result.stamps, true[:, 0], true[:, k]) for k in (1, 2)])
-    start = result.keyframe_stamps[0]
+    start = result.keyframes.stamps[0]
     frame = [np.interp(start, true[:, 0], column) for column in true[:, 1:].T]
     return result, np.hypot(*(se2.transform(frame, result.poses[:, :2]) - expected).T)
 

@@ -104,7 +104,7 @@ class AcceptedLoops:
             return
         self.accepted += 1
         assert event.correction is not None
-        before = event.correction.keyframes_before[event.index]
+        before = event.correction.keyframe_poses_before[event.index]
         after = se2.compose(before, event.motion)
         # Not of later false matches: some motion of a long drive is like that of the loop by chance.
         false = [se2.compose(motion, before) for motion in self._adversary.injected]

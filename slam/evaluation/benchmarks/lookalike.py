@@ -210,7 +210,7 @@ def run_world(world: str, seed: int, variant: str = STANDARD) -> LookalikeRun:
             failed=str(error),
             variant=variant,
         )
-    scorer.score_closed(finished.keyframes)
+    scorer.score_closed(finished.keyframes.poses)
     return LookalikeRun(
         world,
         seed,

@@ -84,7 +84,7 @@ class LoopScorer:
             case KeyframeAdded():
                 self._add_keyframe(event)
             case MapUpdated():
-                self._estimate = dict(enumerate(event.keyframes))
+                self._estimate = dict(enumerate(event.keyframe_poses))
             case WallsMerged():
                 self._merged_into[event.absorbed] = event.kept
             case LoopDecided():
@@ -118,7 +118,7 @@ class LoopScorer:
     def _score_decision(self, event: LoopDecided) -> None:
         for old, recent in event.merged:
             self._merged_into[recent] = old
-        before = self._estimate if event.correction is None else event.correction.keyframes_before
+        before = self._estimate if event.correction is None else event.correction.keyframe_poses_before
         there = se2.compose(before[event.index], event.motion)
         error, angle_error = self._motion_error(event.old, event.index, there)
         if event.status is LoopStatus.ACCEPTED:
@@ -153,19 +153,19 @@ class LoopScorer:
 
     def joined_share(self, finished: Finished, tolerance: float) -> float:
         """Return the share of revisits whose relative error in the final map is below `tolerance` metres."""
-        self._estimate = dict(enumerate(finished.keyframes))
+        self._estimate = dict(enumerate(finished.keyframes.poses))
         errors = [self._motion_error(v.earlier, v.keyframe, self._estimate[v.keyframe])[0] for v in self.revisits]
         return float(np.mean(np.array(errors) < tolerance)) if errors else 1.0
 
     def last_error(self, finished: Finished) -> float:
         """Return the position error of the last keyframe relative to the first, metres."""
-        truth = self._trajectory.poses_at(finished.keyframe_stamps[[0, -1]])
-        ends = np.array([se2.between(poses[0], poses[-1]) for poses in (finished.keyframes, truth)])
+        truth = self._trajectory.poses_at(finished.keyframes.stamps[[0, -1]])
+        ends = np.array([se2.between(poses[0], poses[-1]) for poses in (finished.keyframes.poses, truth)])
         return float(motion_errors(ends[:1], ends[1:]).translation[0])
 
     def ate(self, finished: Finished) -> float:
         """Return the RMS position error of the keyframes after alignment with ground truth, metres."""
-        estimate, truth = finished.keyframes[:, :2], self._trajectory.poses_at(finished.keyframe_stamps)[:, :2]
+        estimate, truth = finished.keyframes.poses[:, :2], self._trajectory.poses_at(finished.keyframes.stamps)[:, :2]
         error = se2.transform(align(estimate, onto=truth), estimate) - truth
         return float(np.sqrt(np.mean(np.sum(error**2, axis=1))))
 

@@ -155,7 +155,7 @@ def _survey(world: World, seed: int, duration: float) -> tuple[Survey, se2.Pose]
     for message in drive:
         slam.add(message)
     finished = slam.finish()
-    origin = drive.trajectory.poses_at(finished.keyframe_stamps[:1])[0]
+    origin = drive.trajectory.poses_at(finished.keyframes.stamps[:1])[0]
     return survey_session(Path(world.name), slam.session), origin
 
 

@@ -46,7 +46,7 @@ def compare_maps(first: tuple[Slam, Finished], second: tuple[Slam, Finished], pa
     Returns None with fewer than MIN_COMMON common walls.
     """
     (slam, map_1), (other, map_2) = first, second
-    starts = path.at([finished.keyframe_stamps[0] for _, finished in (first, second)]).poses
+    starts = path.at([finished.keyframes.stamps[0] for _, finished in (first, second)]).poses
     motion, pairs = align_maps(map_1.walls, map_2.walls, se2.between(starts[0], starts[1]))
     if len(pairs) < MIN_COMMON:
         return None

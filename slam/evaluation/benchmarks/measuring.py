@@ -72,8 +72,8 @@ def map_drive(drive: Simulation) -> tuple[WallMap, WallMap, frozenset[int]]:
         slam.add(message)
     finished = slam.finish()
     covariance = joint_wall_covariance(slam.slam_state.mapper, finished.walls)
-    wall_map = WallMap(finished.walls, finished.corners, covariance, finished.keyframes[:, :2])
-    return wall_map, *true_map(wall_map, drive.world, drive.trajectory.poses_at(finished.keyframe_stamps[:1])[0])
+    wall_map = WallMap(finished.walls, finished.corners, covariance, finished.keyframes.poses[:, :2])
+    return wall_map, *true_map(wall_map, drive.world, drive.trajectory.poses_at(finished.keyframes.stamps[:1])[0])
 
 
 def true_map(wall_map: WallMap, world: World, origin: se2.Pose) -> tuple[WallMap, frozenset[int]]:

@@ -128,13 +128,13 @@ def _map_with_plan(
     state = slam.slam_state
     if state.plan is None or not state.plan.recognised:
         return PlanDrive(np.nan, np.nan, np.nan, np.nan, 0, 0, 0)
-    truth = drive.trajectory.poses_at(finished.keyframe_stamps)
+    truth = drive.trajectory.poses_at(finished.keyframes.stamps)
     steps = np.hypot(*np.diff(truth[:, :2], axis=0).T)
-    errors = np.hypot(*(finished.keyframes - truth)[:, :2].T)
+    errors = np.hypot(*(finished.keyframes.poses - truth)[:, :2].T)
     diff, built = compare_with_plan(survey_plan(plan_map), state, slam.session)
     reports = [change for change in diff.changes if change.kind in DIFFERENCES]
     return PlanDrive(
-        float(steps[finished.keyframe_stamps[1:] <= recognised].sum()),
+        float(steps[finished.keyframes.stamps[1:] <= recognised].sum()),
         float(np.sqrt(np.mean(errors**2))),
         float(errors.max()),
         float(errors[-1]),

@@ -99,10 +99,10 @@ def split_recording(messages: Sequence[Message], config: Config) -> SplitRecordi
     slam = _run_slam(first_half, config)
     half = slam.finish()
     whole = _run_slam(messages, config).finish()
-    at = np.searchsorted(whole.stamps, half.keyframe_stamps).clip(0, len(whole.stamps) - 1)
+    at = np.searchsorted(whole.stamps, half.keyframes.stamps).clip(0, len(whole.stamps) - 1)
     return SplitRecording(
         known=_scan(slam.slam_state),
-        keyframes=half.keyframes,
+        keyframes=half.keyframes.poses,
         keyframes_in_full_map=whole.poses[at],
         stamps=whole.stamps,
         path=whole.poses,

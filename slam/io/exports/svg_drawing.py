@@ -16,8 +16,7 @@ import numpy as np
 from ...checks.weak_places import WeakKind
 from ...geometry.segments import Floats
 from ...loop_closure.loop_status import LoopStatus
-from ...mapping.map_features import MapCorners, MapWalls
-from ..keyframes_csv import Keyframes
+from ...mapping.map_features import Keyframes, MapCorners, MapWalls
 from ..run_results import RunResults
 from ..tum import Trajectory
 from .confidence import CLASS_LIMITS, WallStretch, wall_stretches, weak_places

@@ -134,7 +134,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     for message in _replace_odometry(drive, correction.apply(poses)):
         slam.add(message)
     finished = slam.finish()
-    lidar = se2.compose(finished.keyframes, mount)
+    lidar = se2.compose(finished.keyframes.poses, mount)
     observed = se2.between(lidar[:-1], lidar[1:])
     if len(observed) < MIN_PAIRS:
         raise MapError("keyframes are too few to calibrate from; drive for longer")
@@ -143,7 +143,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
         raise MapError(f"the robot turned by {turned:.1f} rad in total, which is too little; drive some curves")
 
     def residuals(unknowns: Floats) -> Floats:
-        path = _interpolate(OdometryCorrection(*unknowns[3:]).apply(poses), stamps, finished.keyframe_stamps)
+        path = _interpolate(OdometryCorrection(*unknowns[3:]).apply(poses), stamps, finished.keyframes.stamps)
         at_lidar = se2.compose(path, unknowns[:3])
         difference = se2.between(observed, se2.between(at_lidar[:-1], at_lidar[1:]))
         difference[:, 2] = se2.wrap(difference[:, 2])
@@ -152,7 +152,7 @@ def _estimate(drive: Sequence[Message], config: Config, mount: se2.Pose, correct
     def scaled_residuals(unknowns: Floats, sigma: Floats) -> Floats:
         return np.asarray((residuals(unknowns) / sigma).ravel())
 
-    path = _interpolate(correction.apply(poses), stamps, finished.keyframe_stamps)
+    path = _interpolate(correction.apply(poses), stamps, finished.keyframes.stamps)
     start = [*_closed_form_mount(se2.between(path[:-1], path[1:]), observed), *astuple(correction)]
     fit = least_squares(scaled_residuals, start, args=(np.ones(3),))
     noise = NORMAL_SCALE * np.median(np.abs(residuals(fit.x)), axis=0)

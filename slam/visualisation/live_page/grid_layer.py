@@ -60,8 +60,10 @@ class GridLayer:
         match event:
             case KeyframeAdded():
                 self._grid.add(event.stamp, event.points, self._lidars(), event.pose)
-            case MapUpdated() | Finished():
-                self._grid.move(event.keyframes)
+            case MapUpdated():
+                self._grid.move(event.keyframe_poses)
+            case Finished():
+                self._grid.move(event.keyframes.poses)
 
     def _show(self, stamp: float, occupancy: Occupancy) -> None:
         """Show the tiles that have changed, also those that the grid no longer covers."""

@@ -105,7 +105,7 @@ class LiveState:
                 self.update(counts=event.counts)
             case MapUpdated():
                 self._recent = [keyframe for keyframe in self._recent if keyframe.index > event.index]
-                self._put_map(event.walls, event.keyframes)
+                self._put_map(event.walls, event.keyframe_poses)
             case StateChanged():
                 self.update(state=event.state)
             case LoopDecided():
@@ -117,7 +117,7 @@ class LiveState:
                 self.update(state="SUSPECT")
             case Finished():
                 self._recent = []
-                self._put_map(event.walls, event.keyframes)
+                self._put_map(event.walls, event.keyframes.poses)
                 self.update(finished=True)
 
     def put_pose(self, stamp: float, pose: Pose, covariance: Floats | None) -> None:

@@ -13,8 +13,8 @@ from drivers.path_length import path_length
 
 from ...events import LoopDecided, MapUpdated, StateChanged
 from ...geometry.segments import Floats
-from ...io.keyframes_csv import Keyframes
 from ...io.tum import Trajectory
+from ...mapping.map_features import Keyframes
 from .style import (
     BLUE,
     DOTS_PER_INCH,
@@ -78,7 +78,7 @@ def plot_closure(path: Path, decided: LoopDecided, after: MapUpdated) -> None:
     if correction is None:
         raise ValueError("the loop was not closed")
     walls = [correction.walls_before.piece_points()[0], after.walls.piece_points()[0]]
-    paths = [correction.keyframes_before[:, :2], after.keyframes[:, :2]]
+    paths = [correction.keyframe_poses_before[:, :2], after.keyframe_poses[:, :2]]
     drawn = np.concatenate([points.reshape(-1, 2) for points in (*walls, *paths)])
     low, high = drawn.min(axis=0) - CLOSURE_MARGIN, drawn.max(axis=0) + CLOSURE_MARGIN
     aspect = float((high - low)[0] / (high - low)[1])

@@ -22,10 +22,10 @@ _WEAK = colours.CONFIDENCE[-1]
 
 def log_confidence(writer: RrdWriter, finished: Finished) -> None:
     """Log the confidence map below `world/confidence` at the current time, if the covariances are known."""
-    if finished.keyframe_covariance is None or not len(finished.keyframes):
+    keyframes = finished.keyframes
+    if np.isnan(keyframes.covariance).all():
         return
-    sigmas = largest_sigmas(finished.keyframe_covariance[:, :2, :2])
-    path = KeyframePath(finished.keyframe_stamps, finished.keyframes[:, :2], sigmas)
+    path = KeyframePath(keyframes.stamps, keyframes.poses[:, :2], largest_sigmas(keyframes.covariance[:, :2, :2]))
     parts: Any = finished.summary.get("parts") or ()
     apart = [int(part["keyframe"]) for part in parts if not part["joined"]]
     _log_walls(writer, wall_stretches(finished.walls))

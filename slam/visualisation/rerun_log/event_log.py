@@ -238,7 +238,7 @@ class EventLog:
         pose = self._pose
         if event.correction is not None:
             self._fit = self._per_dof(event.correction.chi2)
-            pose = event.correction.keyframes_before[-1]
+            pose = event.correction.keyframe_poses_before[-1]
         elif event.index < len(self._keyframes):  # rejected some metres of driving later
             pose = self._keyframes[event.index]
         if event.status == LoopStatus.RETRACTED:
@@ -260,10 +260,10 @@ class EventLog:
     def _write_map(self, event: MapUpdated) -> None:
         self._follow_without_keyframes(event.stamp)
         self._at(max(self._index or 0, event.index), event.stamp)
-        self._walls, self._corners, self._keyframes = event.walls, event.corners, event.keyframes
-        self._log_map(event.walls, event.corners, event.keyframes, event.keyframes)
-        if self._steps.is_correction_open and len(event.keyframes):
-            self._pose = event.keyframes[-1]
+        self._walls, self._corners, self._keyframes = event.walls, event.corners, event.keyframe_poses
+        self._log_map(event.walls, event.corners, event.keyframe_poses, event.keyframe_poses)
+        if self._steps.is_correction_open and len(event.keyframe_poses):
+            self._pose = event.keyframe_poses[-1]
             self._keyframe_layer.correct(self._pose, event.walls, event.corners)
         self._dof = event.dof
         self._fit = self._per_dof(event.chi2)
@@ -292,13 +292,14 @@ class EventLog:
     def _write_finish(self, event: Finished) -> None:
         self._steps.end()
         self._at_last_keyframe(self._stamp)
-        if event.keyframe_covariance is not None:
-            self._path_layer.set_sigmas(largest_sigmas(event.keyframe_covariance[:, :2, :2]))
-        path = event.poses if len(event.poses) else event.keyframes
-        self._log_map(event.walls, event.corners, path, event.keyframes)
+        keyframes = event.keyframes
+        if not np.isnan(keyframes.covariance).all():
+            self._path_layer.set_sigmas(largest_sigmas(keyframes.covariance[:, :2, :2]))
+        path = event.poses if len(event.poses) else keyframes.poses
+        self._log_map(event.walls, event.corners, path, keyframes.poses)
         self._path_layer.log_growing_paths()
-        log_grid(self._writer, self._scan_layer.placed(event.keyframes), CELL)
+        log_grid(self._writer, self._scan_layer.placed(keyframes.poses), CELL)
         log_confidence(self._writer, event)
-        sizes = (event.keyframes, "keyframe"), (event.walls, "wall"), (event.corners, "corner")
+        sizes = (keyframes, "keyframe"), (event.walls, "wall"), (event.corners, "corner")
         self._log_text(f"finished: {', '.join(counted(len(rows), noun) for rows, noun in sizes)}", "INFO")
         log_summary(self._writer, event.summary)

@@ -158,9 +158,9 @@ class CorrectionLayer:
         pieces, _ = correction.walls_before.piece_points()
         walls = rr.LineStrips3D.from_fields(strips=to_3d(pieces, Height.ODOMETRY))
         self._writer.log("world/before/walls", walls)
-        path = [to_3d(correction.keyframes_before, Height.ODOMETRY)] if len(correction.keyframes) > 1 else []
+        path = [to_3d(correction.keyframe_poses_before, Height.ODOMETRY)] if len(correction.keyframe_poses) > 1 else []
         self._writer.log("world/before/path", rr.LineStrips3D.from_fields(strips=path))
-        self._writer.log("world/shift", _shift_arrows(correction.keyframes_before, correction.keyframes))
+        self._writer.log("world/shift", _shift_arrows(correction.keyframe_poses_before, correction.keyframe_poses))
 
 
 def _shift_arrows(before: Floats, after: Floats) -> rr.Arrows3D:

@@ -121,7 +121,7 @@ def test_a_carried_robot_is_reported() -> None:
     assert any(abs(row["stamp"] - START - FIRST) < 3.0 for row in rows)
     assert isinstance(listener.events[-1], Finished)
     for event in events:
-        assert finished.keyframe_stamps[event.index] <= event.stamp
+        assert finished.keyframes.stamps[event.index] <= event.stamp
         assert np.isfinite(event.position).all()
 
 

@@ -110,7 +110,7 @@ def test_the_last_view_before_nothing_is_seen_is_a_keyframe() -> None:
     slam = Slam(Config(mapping=mapping, odometry=odometry))
     for message in leaving_a_room():
         slam.add(message)
-    before, last = slam.finish().keyframes[-2:]
+    before, last = slam.finish().keyframes.poses[-2:]
     assert last[0] > OPEN
     assert abs(last[2]) < 0.04 < 0.5 * VEER * (last[0] - before[0])
 

@@ -83,8 +83,8 @@ def run(messages: Iterator[Message]) -> Run:
             truth.append([message.stamp, *message.pose])
     result = slam.finish()
     told = np.array(truth)
-    true = Trajectory(told[:, 0], told[:, 1:]).at(result.keyframe_stamps).poses
-    error = se2.between(result.keyframes, se2.between(true[0], true))
+    true = Trajectory(told[:, 0], told[:, 1:]).at(result.keyframes.stamps).poses
+    error = se2.between(result.keyframes.poses, se2.between(true[0], true))
     states = result.summary["states"]
     assert isinstance(states, list)
     return Run(result, np.hypot(error[:, 0], error[:, 1]), [row["state"] for row in states])

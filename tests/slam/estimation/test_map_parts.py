@@ -362,11 +362,11 @@ def test_an_interrupted_run_maps_on_in_the_same_part(tmp_path: Path) -> None:
     assert parts.apart == [1]
     assert np.sqrt(resumed.slam_state.mapper.covariances.relative(parts.firsts[1] - 1, parts.firsts[1])[0, 0]) > 5.0
     assert len(resumed.slam_state.trajectory) == sum(isinstance(message, Scan) for message in messages)
-    after = finished.keyframe_stamps > messages[len(messages) * 3 // 4].stamp
+    after = finished.keyframes.stamps > messages[len(messages) * 3 // 4].stamp
     truth = [message for message in messages if isinstance(message, GroundTruth)]
     true = Trajectory(np.array([m.stamp for m in truth]), np.array([m.pose for m in truth]))
     first = parts.firsts[1]
-    moved = se2.between(finished.keyframes[first], finished.keyframes[after])
-    expected = true.at(finished.keyframe_stamps[first:]).poses
+    moved = se2.between(finished.keyframes.poses[first], finished.keyframes.poses[after])
+    expected = true.at(finished.keyframes.stamps[first:]).poses
     error = moved - se2.between(expected[0], expected[after[first:]])
     assert np.hypot(error[:, 0], error[:, 1]).max() < 0.03

@@ -403,7 +403,7 @@ def test_refinement_is_reproducible_and_publishes_the_map() -> None:
     assert isinstance(last, MapUpdated)
     assert isinstance(finished, Finished)
     np.testing.assert_array_equal(last.walls.frame, finished.walls.frame)
-    np.testing.assert_array_equal(last.keyframes, finished.keyframes)
+    np.testing.assert_array_equal(last.keyframe_poses, finished.keyframes.poses)
 
 
 def test_session_without_a_map_is_not_refined() -> None:
@@ -456,6 +456,6 @@ def test_scans_in_corridors_stay_where_odometry_has_them() -> None:
     drive = list(Simulation(random_building(9128), 9128, 50.0, LIDAR_MODELS["short"], WHEEL_MODELS["bad"]))
     finished, truth = run(drive, refine=False), ground_truth(drive)
     true = truth.at(finished.stamps).poses
-    at_keyframe = truth.at(finished.keyframe_stamps[:1]).poses[0]
+    at_keyframe = truth.at(finished.keyframes.stamps[:1]).poses[0]
     errors = se2.between(finished.poses, se2.between(at_keyframe, true))
     assert np.hypot(errors[:, 0], errors[:, 1]).max() < 0.2  # metres; 0.6 if one was moved

@@ -173,7 +173,7 @@ def test_the_first_keyframe_defines_the_map() -> None:
     simulation = Simulation("room", duration=6.0)
     nees, finished = measure(simulation)
     assert len(nees.poses) == len(finished.keyframes) - 1
-    truth = simulation.trajectory.poses_at(finished.keyframe_stamps)
-    difference = se2.between(se2.between(truth[0], truth), finished.keyframes)
+    truth = simulation.trajectory.poses_at(finished.keyframes.stamps)
+    difference = se2.between(se2.between(truth[0], truth), finished.keyframes.poses)
     np.testing.assert_allclose(difference[0], 0.0, atol=1e-3)
     assert np.abs(difference[:, :2]).max() < 0.01

@@ -206,7 +206,7 @@ def uncertain(tmp_path: Path, finished: Finished) -> RunResults:
     run = replace(
         finished,
         walls=replace(finished.walls, covariance=covariance),
-        keyframe_covariance=np.eye(3) * np.square(sigma)[:, None, None],
+        keyframes=replace(finished.keyframes, covariance=np.eye(3) * np.square(sigma)[:, None, None]),
     )
     folder = tmp_path / "uncertain"
     folder.mkdir()

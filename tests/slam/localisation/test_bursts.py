@@ -46,7 +46,7 @@ def test_stamps_in_bursts_do_not_change_the_map() -> None:
     lidar, wheels = LIDAR_MODELS["short"], WHEEL_MODELS["good"]
     drive = list(Simulation("equal_doors", seed=1, duration=20.0, lidar=lidar, wheels=wheels))
     one, other = finished(iter(drive)), finished(in_bursts(iter(drive)))
-    even, bursts = one.keyframes, other.keyframes
+    even, bursts = one.keyframes.poses, other.keyframes.poses
     assert len(bursts) > 0.8 * len(even)
     distances = np.hypot(*(one.poses[:, None, :2] - bursts[None, :, :2]).transpose(2, 0, 1)).min(axis=0)
     assert distances.max() < 0.3  # each is on the path of the other

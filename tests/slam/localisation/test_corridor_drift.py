@@ -24,9 +24,9 @@ def largest_drift(seed: int) -> float:
         if isinstance(message, GroundTruth):
             rows.append([message.stamp, *message.pose])
     finished, truth = slam.finish(), np.array(rows)
-    true = np.column_stack([np.interp(finished.keyframe_stamps, truth[:, 0], truth[:, k]) for k in (1, 2, 3)])
+    true = np.column_stack([np.interp(finished.keyframes.stamps, truth[:, 0], truth[:, k]) for k in (1, 2, 3)])
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(true[:, :2], axis=0).T))])
-    error = (se2.compose(true[0], finished.keyframes) - true)[driven > START, 0]
+    error = (se2.compose(true[0], finished.keyframes.poses) - true)[driven > START, 0]
     assert driven[-1] > 30.0
     return float(np.max(np.abs(error) / driven[driven > START]))
 

@@ -137,8 +137,8 @@ def drive(source: Iterable[Message]) -> tuple[Finished, Floats, list[str]]:
     result = slam.finish()
     stamps, *columns = np.array(truth).T
     columns[2] = np.unwrap(columns[2])
-    true = np.column_stack([np.interp(result.keyframe_stamps, stamps, column) for column in columns])
-    error = se2.between(result.keyframes, se2.between(true[0], true))
+    true = np.column_stack([np.interp(result.keyframes.stamps, stamps, column) for column in columns])
+    error = se2.between(result.keyframes.poses, se2.between(true[0], true))
     notices = [notice.text for notice in listener.of(Notice)]
     return result, np.column_stack([np.hypot(error[:, 0], error[:, 1]), np.abs(error[:, 2])]), notices
 

@@ -41,7 +41,7 @@ def test_a_loop_at_the_end_of_a_drive_is_closed_by_its_evidence() -> None:
     assert [event.status for event in decided] == [LoopStatus.ACCEPTED]
     assert error < 0.05
     keyframes = slam.session.slam_state.mapper.keyframe_poses
-    assert np.hypot(*(keyframes - finished.keyframes)[:, :2].T).max() < 0.05  # the session has the closure, too
+    assert np.hypot(*(keyframes - finished.keyframes.poses)[:, :2].T).max() < 0.05  # the session has the closure, too
     assert [decision["status"] for decision in slam.session.loop_decisions] == [LoopStatus.ACCEPTED]
 
 

@@ -47,7 +47,9 @@ def test_slightly_bent_walls_do_not_tear_a_corridor_apart(tmp_path: Path, seed: 
             truth.append(message.pose)
         slam.add(message)
     finished = slam.finish()
-    assert np.hypot(*np.diff(finished.keyframes[:, :2], axis=0).T).max() < 1.25 * Config().mapping.keyframe_distance
+    assert (
+        np.hypot(*np.diff(finished.keyframes.poses[:, :2], axis=0).T).max() < 1.25 * Config().mapping.keyframe_distance
+    )
     error = se2.between(se2.between(truth[0], truth[-1]), finished.poses[-1])
     assert abs(error[0]) < 0.02 * LENGTH  # the wheels' error
     sigma = np.sqrt(slam.keyframe_covariance(len(finished.keyframes) - 1)[0, 0])

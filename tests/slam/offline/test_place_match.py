@@ -160,4 +160,4 @@ def test_a_part_of_the_map_that_was_not_recognised_is_joined_by_hand(world: Path
     poses, stamps = mapper.keyframe_poses, np.array(corrected.session.slam_state.keyframe_stamps)
     again = np.abs(stamps[:first, None] - (stamps[first:] - last.stamp - 1.0)).argmin(axis=0)
     assert np.hypot(*(poses[again, :2] - poses[first:, :2]).T).max() < 0.3
-    assert np.hypot(*(finished.keyframes[again, :2] - finished.keyframes[first:, :2]).T).min() > 1.0
+    assert np.hypot(*(finished.keyframes.poses[again, :2] - finished.keyframes.poses[first:, :2]).T).min() > 1.0

@@ -64,7 +64,8 @@ def make(folder: Path, finished: Finished, summary: dict[str, Any] = SUMMARY) ->
     sigma = np.linspace(0.01, 0.15, len(finished.keyframes))
     covariance = np.eye(3) * np.square(sigma)[:, None, None]
     folder.mkdir(exist_ok=True)
-    write_results(folder, replace(finished, keyframe_covariance=covariance), Config(), summary)
+    keyframes = replace(finished.keyframes, covariance=covariance)
+    write_results(folder, replace(finished, keyframes=keyframes), Config(), summary)
     return read_run_results(folder)
 
 

@@ -123,7 +123,7 @@ def test_clients_receive_map_scan_pose_and_state(finished: Finished) -> None:
 
     async def test() -> None:
         state.handle(scan)
-        state.handle(MapUpdated(4, 10.0, finished.keyframes, finished.walls, finished.corners, 1.0, 0.0))
+        state.handle(MapUpdated(4, 10.0, finished.keyframes.poses, finished.walls, finished.corners, 1.0, 0.0))
         client = await connect(server)
         first = await frame(client)
         assert len(first["map"]["walls"]) == len(finished.walls.piece_points()[0])
@@ -413,7 +413,7 @@ def test_a_browser_shows_the_run_and_drives(
 ) -> None:
     state, driven, frozen = LiveState(), [], list[bool]()
     state.handle(ScanTracked(10.0, POSE, POSE, 0.9, 4, np.zeros((3, 2))))
-    state.handle(MapUpdated(4, 10.0, finished.keyframes, finished.walls, finished.corners, 1.0, 0.0))
+    state.handle(MapUpdated(4, 10.0, finished.keyframes.poses, finished.walls, finished.corners, 1.0, 0.0))
     state.handle(StateChanged(11.0, "DEGENERATE", None))
     state.handle(Notice(12.0, "odometry <b>slipped</b>"))
     state.update(can_drive=True, can_freeze=True, frozen=True, devices=[("ld06:/dev/a", "lost", "losses 1")])

@@ -10,7 +10,6 @@ from slam.cli.commands.demo_recorders import ClosureRecorder
 from slam.errors import MapError, OutputError
 from slam.evaluation.metrics import Relations, score_reference, score_relations
 from slam.events import Correction, Finished, LoopDecided, MapUpdated
-from slam.io.keyframes_csv import Keyframes
 from slam.io.run_results import RunResults
 from slam.io.tum import Trajectory
 from slam.loop_closure.loop_status import LoopStatus
@@ -114,13 +113,13 @@ def test_a_picture_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> 
 
 def closure(finished: Finished, shift: float) -> list[LoopDecided | MapUpdated]:
     """Return the events of a closure at the last keyframe."""
-    before = finished.keyframes + np.linspace(0.0, shift, len(finished.keyframes))[:, None] * [1.0, 0.0, 0.0]
+    before = finished.keyframes.poses + np.linspace(0.0, shift, len(finished.keyframes))[:, None] * [1.0, 0.0, 0.0]
     last = len(before) - 1
-    correction = Correction(before, finished.keyframes, finished.walls, 1.0, 9.0, 2.0)
+    correction = Correction(before, finished.keyframes.poses, finished.walls, 1.0, 9.0, 2.0)
     decided = LoopDecided(
         last, 1.0, 1, 0, np.zeros(3), LoopStatus.ACCEPTED, "", 0.9, 4, 0.0, 0.01, 0.0, (), shift, correction=correction
     )
-    after = MapUpdated(last, 1.0, finished.keyframes, finished.walls, finished.corners, 2.0, shift)
+    after = MapUpdated(last, 1.0, finished.keyframes.poses, finished.walls, finished.corners, 2.0, shift)
     return [decided, after]
 
 
@@ -137,9 +136,8 @@ def test_the_closure_that_moved_the_robot_most_is_drawn(tmp_path: Path, finished
 
 
 def test_a_map_is_drawn_before_and_after_a_correction(tmp_path: Path, finished: Finished) -> None:
-    keyframes = Keyframes(finished.keyframe_stamps, finished.keyframes, np.zeros((len(finished.keyframes), 3, 3)))
     trajectory = Trajectory(finished.stamps, finished.poses)
-    results = RunResults(tmp_path, finished.walls, finished.corners, trajectory, {}, keyframes)
+    results = RunResults(tmp_path, finished.walls, finished.corners, trajectory, {}, finished.keyframes)
     plot_correction(tmp_path / "a.png", results, results, (0, 1), ("before", "after"), title="a correction")
     width, height = size(tmp_path / "a.png")
     assert width > 1.5 * height > 500

@@ -19,6 +19,7 @@ from slam.errors import MapError
 from slam.events import Finished
 from slam.io.json_files import write_json
 from slam.io.run_results import read_run_results, write_results
+from slam.mapping.map_features import Keyframes
 from slam.visualisation.report_page import write_page
 from slam.visualisation.report_page.findings import findings, reason_without_walls
 
@@ -69,7 +70,8 @@ def test_the_page_names_the_places_where_the_map_is_poorly_known(tmp_path: Path,
     assert "100 % of the length of the walls is known to 2 cm, 100 % to 5 cm." in words(text)
     assert "3 m of the path are known to 15 cm only" in words(text)
     assert len(re.findall(r'<circle class="stretch"', text)) == 1
-    known = replace(finished, keyframe_covariance=np.tile(1e-6 * np.eye(3), (len(finished.keyframes), 1, 1)))
+    covariance = np.tile(1e-6 * np.eye(3), (len(finished.keyframes), 1, 1))
+    known = replace(finished, keyframes=replace(finished.keyframes, covariance=covariance))
     write_results(tmp_path / "out", known, Config(), SUMMARY)
     write_page(tmp_path / "known.html", read_run_results(tmp_path / "out"))
     assert "No place would need another drive." in words((tmp_path / "known.html").read_text(encoding="utf-8"))
@@ -110,8 +112,7 @@ def test_a_map_without_walls_has_a_page(tmp_path: Path, finished: Finished) -> N
         corners=replace(finished.corners, **corners),
         stamps=finished.stamps[:1],
         poses=finished.poses[:1],
-        keyframe_stamps=finished.keyframe_stamps[:1],
-        keyframes=finished.keyframes[:1],
+        keyframes=Keyframes.without_covariance(finished.stamps[:1], finished.poses[:1]),
     )
     without = SUMMARY | {"slam": {}}
     assert "<svg" in page(tmp_path / "out", empty, without)

@@ -24,7 +24,7 @@ from slam.events import (
     SuspectFound,
 )
 from slam.io.exports.confidence import wall_stretches
-from slam.mapping.map_features import MapCorners, MapWalls
+from slam.mapping.map_features import Keyframes, MapCorners, MapWalls
 from slam.visualisation.rerun_log import colours, rrd_writer
 from slam.visualisation.rerun_log.event_log import EventLog
 
@@ -89,7 +89,7 @@ def test_the_grid_of_the_final_map_is_one_picture_that_is_free_along_the_path(co
     columns, lines = format_of[0]["width"], format_of[0]["height"]
     data = np.asarray(last(path, "/world/grid", "GridMap:data")[0], dtype=np.uint8)
     picture = data.reshape(lines, columns, 3)[::-1]
-    cells = np.floor((events[-1].keyframes[:, :2] - corner) / size).astype(int)
+    cells = np.floor((events[-1].keyframes.poses[:, :2] - corner) / size).astype(int)
     free = (picture[cells[:, 1], cells[:, 0]] == colours.FREE).all(axis=1)
     assert free.mean() > 0.9
     occupied = np.argwhere((picture == colours.OCCUPIED).all(axis=2))[:, ::-1]
@@ -103,7 +103,9 @@ def test_the_confidence_map_is_that_of_the_report(tmp_path):
     path, events = tmp_path / "confidence.rrd", list(Corridor(step=4.0).events())
     finished = events[-1]
     variances = np.linspace(0.0, 0.5, len(finished.keyframes)) ** 2
-    events[-1] = replace(finished, keyframe_covariance=variances[:, None, None] * np.eye(3))
+    events[-1] = replace(
+        finished, keyframes=replace(finished.keyframes, covariance=variances[:, None, None] * np.eye(3))
+    )
     log_events(path, events)
     stretches = wall_stretches(finished.walls)
     weak = last(path, "/world/confidence/weak", "Points3D:labels")
@@ -145,7 +147,7 @@ def test_scans_of_earlier_keyframes_move_with_the_map(tmp_path):
     events = list(Corridor(step=2.0).events())
     finished = events[-1]
     shift = np.array([0.0, 3.0, 0.0])
-    events.append(replace(finished, keyframes=finished.keyframes + shift))
+    events.append(replace(finished, keyframes=replace(finished.keyframes, poses=finished.keyframes.poses + shift)))
     path = tmp_path / "scans.rrd"
     log_events(path, events)
     keyframes = of_kind(events, KeyframeAdded)
@@ -216,6 +218,7 @@ def test_empty_and_unknown_values_are_accepted(tmp_path):
                         np.empty(0, dtype=np.int64), np.empty((0, 2, 2)), ())  # fmt: skip
     no_corners = MapCorners(np.empty(0, dtype=np.int64), np.empty((0, 2)), np.empty((0, 2, 2)),
                             np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64))  # fmt: skip
+    no_keyframes = Keyframes.without_covariance(np.empty(0), np.empty((0, 3)))
     events = [
         Notice(0.0, "a notice before anything else"),
         GroundTruthReceived(0.5, np.zeros(3)),
@@ -223,7 +226,7 @@ def test_empty_and_unknown_values_are_accepted(tmp_path):
         bare_keyframe(0),
         bare_keyframe(1),
         MapUpdated(1, 1.0, np.empty((0, 3)), no_lines, no_corners, float("nan"), 0.0),
-        Finished(no_lines, no_corners, np.empty(0), np.empty((0, 3)), np.empty(0), np.empty((0, 3))),
+        Finished(no_lines, no_corners, no_keyframes, np.empty(0), np.empty((0, 3))),
     ]
     review = log_events(tmp_path / "bare.rrd", events)
     assert review.failures == 0, review.first_failure

@@ -93,7 +93,7 @@ def test_a_closed_loop_is_wrong_if_the_final_map_is_bent(logged: Logged) -> None
     assert isinstance(closed, LoopDecided)
     assert closed.status is LoopStatus.ACCEPTED
     assert closed.correction is not None
-    keyframes = closed.correction.keyframes
+    keyframes = closed.correction.keyframe_poses
     scorer.score_closed(keyframes)
     assert scorer.decisions[0].error < MAX_ERROR
     bent = keyframes.copy()
@@ -152,8 +152,8 @@ def test_a_correction_shows_the_map_before_it_and_the_shift_of_every_keyframe(lo
         pieces, _ = correction.walls_before.piece_points()
         np.testing.assert_allclose(np.array(walls.values["LineStrips3D:strips"])[..., :2], pieces, atol=1e-3)
         origins, vectors = (np.array(arrows.values[f"Arrows3D:{name}"])[:, :2] for name in ("origins", "vectors"))
-        np.testing.assert_allclose(origins, correction.keyframes_before[:, :2], atol=1e-3)
-        np.testing.assert_allclose(origins + vectors, correction.keyframes[:, :2], atol=2e-3)
+        np.testing.assert_allclose(origins, correction.keyframe_poses_before[:, :2], atol=1e-3)
+        np.testing.assert_allclose(origins + vectors, correction.keyframe_poses[:, :2], atol=2e-3)
         assert len(arrows.values["Arrows3D:labels"]) == event.index + 1
     accepted, retracted = (event.correction for event in corrected)
     assert accepted is not None
@@ -164,7 +164,7 @@ def test_a_correction_shows_the_map_before_it_and_the_shift_of_every_keyframe(lo
     )  # the added loop contradicts the estimate until that is optimised
     assert accepted.chi2 < 0.1 * accepted.chi2_strained
     # The map is as before the closure, apart from later observations.
-    remaining = se2.between(accepted.keyframes_before, retracted.keyframes)
+    remaining = se2.between(accepted.keyframe_poses_before, retracted.keyframe_poses)
     assert np.hypot(remaining[:, 0], remaining[:, 1]).max() < 0.2 * accepted.shifts().max()
 
 
@@ -173,7 +173,7 @@ def test_the_map_update_after_a_closure_has_the_path_of_its_correction(logged: L
         if isinstance(event, LoopDecided) and event.status == LoopStatus.ACCEPTED:
             after = next(later for later in logged.events[place:] if isinstance(later, MapUpdated))
             assert event.correction is not None
-            np.testing.assert_allclose(after.keyframes, event.correction.keyframes, atol=1e-6)
+            np.testing.assert_allclose(after.keyframe_poses, event.correction.keyframe_poses, atol=1e-6)
 
 
 def test_the_features_of_the_last_keyframe_move_with_a_correction(logged: Logged) -> None:
@@ -181,7 +181,7 @@ def test_the_features_of_the_last_keyframe_move_with_a_correction(logged: Logged
     for event in decisions(logged):
         if event.status == LoopStatus.ACCEPTED and event.correction is not None:
             (seen,) = [one for one in logged.events if isinstance(one, KeyframeAdded) and one.index == event.index]
-            ends = segment_ends(seen.segments, event.correction.keyframes[-1])
+            ends = segment_ends(seen.segments, event.correction.keyframe_poses[-1])
             np.testing.assert_allclose(np.array(shown[event.index]["LineStrips3D:strips"])[..., :2], ends, atol=1e-3)
 
 
@@ -302,7 +302,7 @@ def test_a_step_of_the_closures_shows_everything_right_after_the_correction(logg
         after = next(later for later in logged.events[logged.events.index(event) :] if isinstance(later, MapUpdated))
         assert shown["/world/shift"][step]
         x, y, _ = shown["/world/robot"][step]["Transform3D:translation"][0]
-        np.testing.assert_allclose([x, y], after.keyframes[-1][:2], atol=1e-3)
+        np.testing.assert_allclose([x, y], after.keyframe_poses[-1][:2], atol=1e-3)
         (fit,) = shown["/metrics/chi2"][step]["Scalars:scalars"]
         assert 0.1 < fit < 10.0
         assert shown["/loops/table"][step]["keyframe"] == [event.index]
