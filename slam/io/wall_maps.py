@@ -15,14 +15,15 @@ from .output_dir import SESSION
 from .sessions import StoredSession, is_session, read_session
 
 
-def read_wall_map(path: Path) -> WallMap:
+def read_wall_map(path: Path | str) -> WallMap:
     """Read the session in the output directory of a run, and solve its graph for the joint covariance of the walls.
 
     Raises MapError naming the file and the problem, also if the session has no wall.
     """
-    if path.is_dir() and not is_session(path):
+    directory = Path(path)
+    if directory.is_dir() and not is_session(directory):
         raise MapError(f"{path}: has no {SESSION}/, which covariances are computed from; name a mapping run")
-    return wall_map_of(path, read_session(path))
+    return wall_map_of(directory, read_session(directory))
 
 
 def wall_map_of(path: Path, session: StoredSession) -> WallMap:

@@ -23,6 +23,7 @@ from slam.io.output_dir import CONFIG, KEYFRAMES, MAP
 from slam.io.run_results import read_run_results
 from slam.io.sessions import read_session
 from slam.io.tum import read_tum, write_tum
+from slam.io.wall_maps import read_wall_map
 
 ROOM = "sim:room?duration=10&seed=2&lidar=short"
 
@@ -56,6 +57,7 @@ def test_files_are_named_by_paths_or_text(tmp_path: Path) -> None:
     assert len(read_map(f"{directory}/{MAP}").walls) == len(read_run_results(directory).walls) == len(mapped.walls)
     assert len(read_keyframes(f"{directory}/{KEYFRAMES}")) == len(mapped.keyframes)
     assert len(read_tum(f"{grid}.tum").stamps) == len(mapped.stamps)
+    assert len(read_wall_map(directory).walls) == len(mapped.walls)
     assert read_session(directory).latest == mapped.stamps[-1]
     assert len(read_relations(str(relations))) == 1
 
