@@ -175,14 +175,15 @@ def _lost(summary: dict[str, Any]) -> list[tuple[str, str]]:
         more = f", and {len(spans) - SHOWN_SPANS} more times" if len(spans) > SHOWN_SPANS else ""
         share = slam["health"]["lost"] / max(1, slam["scans"])
         rows.append(("LOST", f"{times}{more}; {percent(share, 1)} of the scans"))
-    later = (slam.get("parts") or [])[1:]
+    parts = slam.get("parts") or []
+    later = [row for row in parts[1:] if row["stamp"] >= start]  # a run that only localises has made none
     if later:
         joined = [
             f"{elapsed(row['stamp'] - start)} {'joined' if row['joined'] else 'not joined'}"
             for row in later[:SHOWN_SPANS]
         ]
         more = ", …" if len(later) > SHOWN_SPANS else ""
-        rows.append(("parts", f"{len(later) + 1} in the map; those from {', '.join(joined)}{more}"))
+        rows.append(("parts", f"{len(parts)} in the map; those from {', '.join(joined)}{more}"))
     return rows
 
 

@@ -154,3 +154,13 @@ def test_the_terminal_shows_the_worst_suspects(tmp_path: Path) -> None:
     many = lines(tmp_path, SHOWN_SUSPECTS + 3)
     assert len(many) == SHOWN_SUSPECTS + 1
     assert many[-1] == "  and 3 more suspects in summary.json"
+
+
+def test_parts_of_a_map_that_a_run_only_localises_in_are_not_those_of_the_run(tmp_path: Path) -> None:
+    parts = [{"stamp": stamp, "keyframe": 0, "joined": True} for stamp in (-90.0, -45.0)]
+    text = "\n".join(format_summary(RunResult(summary_with(parts=parts), False), tmp_path))
+    assert "in the map; those from" not in text
+    text = "\n".join(
+        format_summary(RunResult(summary_with(parts=[*parts, parts[0] | {"stamp": 5.0}]), False), tmp_path)
+    )
+    assert "parts      3 in the map; those from 0:05 joined" in text
