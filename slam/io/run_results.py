@@ -14,6 +14,7 @@ from drivers.immutable import immutable
 from ..config import Config, config_to_toml, load_config, validated_config
 from ..errors import MapError, first_line
 from ..events import Finished
+from ..formatting import counted
 from ..geometry.segments import Floats
 from ..mapping.map_features import Keyframes, MapCorners, MapWalls
 from .drives import split_drives
@@ -42,6 +43,10 @@ class RunResults:
     trajectory: Trajectory
     summary: dict[str, Any]
     keyframes: Keyframes | None
+
+    def __repr__(self) -> str:
+        sizes = f"{counted(len(self.walls), 'wall')}, {counted(len(self.corners), 'corner')}"
+        return f"<RunResults of {self.path}: {sizes}, {self.trajectory.length:.1f} m driven>"
 
     def drives(self) -> list[Trajectory]:
         """Return the trajectories of the drives: one for each recording, in the order of their stamps."""

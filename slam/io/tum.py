@@ -15,6 +15,7 @@ from drivers.path_length import path_length
 
 from ..bounds import MAX_LENGTH
 from ..errors import MapError
+from ..formatting import counted
 from ..geometry.segments import Floats
 
 STAMP_TOLERANCE = 1e-3
@@ -71,6 +72,9 @@ class Trajectory:
 
     def __len__(self) -> int:
         return len(self.stamps)
+
+    def __repr__(self) -> str:
+        return f"<Trajectory: {counted(len(self), 'pose')}, {self.duration:.1f} s, {self.length:.1f} m driven>"
 
     @property
     def duration(self) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 from drivers.immutable import immutable
 
 from ..errors import MapError
+from ..formatting import counted
 from ..geometry.segments import Floats, Integers
 from ..geometry.wall_intersection import intersect_walls
 from ..mapping.map_features import MapCorners, MapWalls
@@ -91,6 +92,10 @@ class WallMap(WallGeometry):
 
     covariance: Floats
     path: Floats
+
+    def __repr__(self) -> str:
+        sizes = f"{counted(len(self.walls), 'wall')}, {counted(len(self.corners), 'corner')}"
+        return f"<WallMap: {sizes}, with the joint covariance of the walls>"
 
     def joint_covariance(self, rows: Integers) -> Floats:
         """Return the covariance (2 k, 2 k) of offset across (metres) and heading (radians) of k walls (rows)."""

@@ -26,6 +26,7 @@ from slam.config import LidarConfig
 from slam.errors import ArgumentError, OutputError, SlamError
 from slam.io.exports import write_pgm
 from slam.io.recording_timing import UNKNOWN_MOUNT
+from slam.io.run_results import read_run_results
 from slam.io.tum import read_tum_poses
 
 ROOM = "sim:room?duration=10&seed=2&lidar=short"
@@ -78,6 +79,13 @@ def test_it_displays_itself_in_a_notebook(mapped: slam.MappedRecording) -> None:
     assert f"<td>{len(mapped.walls)} walls, {len(mapped.corners)} corners</td>" in html
     (picture,) = re.findall(r"base64,([^\"]+)", html)
     assert b64decode(picture).decode() == mapped.svg()
+
+
+def test_parts_of_a_result_are_one_short_line_in_a_terminal(mapped: slam.MappedRecording, tmp_path: Path) -> None:
+    mapped.save(tmp_path / "a")
+    parts = mapped, mapped.finished, mapped.walls, mapped.corners, mapped.keyframes, mapped.trajectory
+    for part in (*parts, mapped.wall_map(), read_run_results(tmp_path / "a")):
+        assert re.fullmatch(r"<[^\n]{,200}>", repr(part))
 
 
 def test_it_measures_rooms_and_draws_dimension_lines(mapped: slam.MappedRecording) -> None:
