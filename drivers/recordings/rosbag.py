@@ -84,19 +84,21 @@ class BagReader(RosReader):
         except DecompressionError as error:
             raise RecordingError(self.path, None, str(error)) from error
         except Exception as error:  # as above
-            if not self._has_messages_without_index():
+            self._stored_topics = {}
+            if not self._is_readable_without_index():
                 raise RecordingError(self.path, None, self._reason(error)) from error
             if final:
                 self.interpret("records in the order of the file, since the index of the bag is missing or damaged")
-            return read_unindexed(self.path, self._types)
+            return read_unindexed(self.path, self._types, self._stored_topics)
         return ((connection.topic, connection.msgtype, received, data) for connection, received, data in stored)
 
-    def _has_messages_without_index(self) -> bool:
-        """Return true for a ROS 1 bag of whose records at least one message of a supported type can be read."""
+    def _is_readable_without_index(self) -> bool:
+        """Return true for a ROS 1 bag of whose records a message of a supported type can be read, or all records."""
         if not self._is_ros1:
             return False
         try:
-            return next(read_unindexed(self.path, self._types), None) is not None
+            next(read_unindexed(self.path, self._types, self._stored_topics), None)
+            return bool(self._stored_topics)
         except DecompressionError:  # raised again when the messages are read
             return True
         except (ValueError, OSError):

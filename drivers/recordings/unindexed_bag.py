@@ -26,8 +26,12 @@ Fields = dict[bytes, bytes]
 """Fields of a record's header by name."""
 
 
-def read_unindexed(path: Path, msgtypes: frozenset[str]) -> Iterator[tuple[str, str, int, bytes]]:
+def read_unindexed(
+    path: Path, msgtypes: frozenset[str], topics: dict[str, str] | None = None
+) -> Iterator[tuple[str, str, int, bytes]]:
     """Yield topic, ROS type, time of reception (nanoseconds) and data of the messages of some types.
+
+    All topics are added to `topics`, with their types, as soon as they are read.
 
     Raises ValueError at the first damage, also if the file ends within a record, and DecompressionError if a chunk
     would become too large.
@@ -39,7 +43,9 @@ def read_unindexed(path: Path, msgtypes: frozenset[str]) -> Iterator[tuple[str, 
             connections: dict[bytes, tuple[str, str]] = {}
             for fields, data in _records(content, len(MAGIC)):
                 if fields[b"op"] == _CONNECTION:
-                    connections[fields.get(b"conn", b"")] = _topic_and_type(fields, data)
+                    topic, msgtype = connections[fields.get(b"conn", b"")] = _topic_and_type(fields, data)
+                    if topics is not None:
+                        topics[topic] = msgtype
                 elif fields[b"op"] == _MESSAGE:
                     topic, msgtype = connections.get(fields.get(b"conn", b""), ("", ""))
                     if msgtype in msgtypes:

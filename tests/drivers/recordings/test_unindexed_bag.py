@@ -114,6 +114,16 @@ def test_a_chunk_whose_length_the_recorder_left_open_is_read(tmp_path: Path, bag
     assert len(list(drivers.open(path))) > 10
 
 
+def test_topics_are_named_if_a_bag_without_index_has_no_scans(tmp_path: Path) -> None:
+    path = tmp_path / "drive.bag.active"
+    with Writer(path) as writer:
+        topic = writer.add_connection("/plot", "std_msgs/msg/Float64", typestore=type_store("ros1"))
+        writer.write(topic, 0, bytes(8))
+    path.write_bytes(with_index_at(path.read_bytes(), 0))
+    with pytest.raises(RecordingError, match=r"no readable .*; its topics are /plot \(std_msgs/msg/Float64\)"):
+        list(drivers.open(path))
+
+
 def test_reserved_space_that_was_not_written_ends_the_bag(tmp_path: Path, bag: bytes) -> None:
     path = tmp_path / "drive.bag"
     path.write_bytes(with_index_at(bag[: len(bag) // 2], 0) + bytes(100_000))
