@@ -190,8 +190,9 @@ def _health_findings(health: dict[str, Any]) -> Iterator[Finding]:
     overlap_ratio = health.get("overlap_ratio_median")
     if overlap_ratio is not None and overlap_ratio < LOW_OVERLAP_RATIO:
         yield Finding(
-            f"The overlap ratio of scans with the map is only {percent(overlap_ratio)}.",
-            "Many moving objects, floor or windows in the lidar's plane, or an inconsistent map.",
+            f"Only {percent(overlap_ratio)} of the walls that a scan shows are on walls of the map: the path is wrong, "
+            "things move, or the lidar sees the robot itself, the floor or through windows.",
+            "lidar.range_min leaves out what is near the lidar, such as parts of the robot.",
             grave=True,
         )
     for name, (text, detail) in COUNT_FINDINGS.items():

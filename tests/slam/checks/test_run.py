@@ -143,7 +143,7 @@ def lines(tmp_path: Path, count: int) -> list[str]:
 def test_the_terminal_names_what_the_report_page_calls_grave(tmp_path: Path) -> None:
     """A map that few scans agree with looks like any other in the terminal."""
     text = "\n".join(format_summary(RunResult(summary_with(health={"overlap_ratio_median": 0.71}), False), tmp_path))
-    assert "  warning    the overlap ratio of scans with the map is only 71 %\n" in text
+    assert "  warning    only 71 % of the walls that a scan shows are on walls of the map: the path is wrong, " in text
     text = "\n".join(format_summary(RunResult(summary_with(health={"overlap_ratio_median": 0.97}), False), tmp_path))
     assert "warning" not in text
 

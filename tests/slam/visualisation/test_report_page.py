@@ -143,7 +143,8 @@ def test_findings_describe_problems_grave_ones_first(tmp_path: Path, finished: F
     texts = [finding.text for finding in found]
     assert texts == [
         "For 3 s in total, the robot was lost, at 0:02.",
-        "The overlap ratio of scans with the map is only 60 %.",
+        "Only 60 % of the walls that a scan shows are on walls of the map: the path is wrong, things move, or the "
+        "lidar sees the robot itself, the floor or through windows.",
         "Odometry deviates by 158 % of the travelled distance.",
         "Odometry stands still.",
         "For 8 s in total, one direction was degenerate, at 0:12.",
