@@ -75,7 +75,7 @@ def drive_of(
         dropped=~scans.has_features[rows],
         has_odometry=odometry_model.measured,
         start=start,
-        readings=np.concatenate([np.zeros(0), *(history.stamps for history in segments.histories)]),
+        readings=np.concatenate([np.zeros(0), *(history.measured_stamps for history in segments.histories)]),
     )
 
 

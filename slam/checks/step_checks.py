@@ -93,11 +93,12 @@ def wrong_odometry(drive: Drive, steps: Steps) -> Iterator[Suspect]:
     A late reading is not such an error, nor is an uneven motion between two readings. So odometry must also be wrong
     from the scan before the interval to the one after, and from the readings before to those after.
     The path may be wrong there by as much as the scans in between are misplaced, so odometry must be wrong by more.
-    After the last reading, odometry is missing, which the run says elsewhere.
+    Before the first reading and after the last one, odometry is missing, which the run says elsewhere.
     """
     misplaced = _misplacements(drive, steps)
-    read_until = drive.readings[-1] if len(drive.readings) else np.inf
-    for group in consecutive_groups(np.flatnonzero((steps.slip > 0.0) & (drive.stamps[:-1] < read_until)), MAX_GAP):
+    first, last = (drive.readings[0], drive.readings[-1]) if len(drive.readings) else (-np.inf, np.inf)
+    wrong_steps = (steps.slip > 0.0) & (drive.stamps[1:] > first) & (drive.stamps[:-1] < last)
+    for group in consecutive_groups(np.flatnonzero(wrong_steps), MAX_GAP):
         evidence = float(steps.slip[group].sum())
         before, after = _rows_around(drive, group)
         driven = se2.between(drive.poses[before], drive.poses[after])

@@ -45,6 +45,7 @@ class OdometryHistory:
 
     def __init__(self) -> None:
         self._stamps, self._poses = GrowingArray(()), GrowingArray((3,))
+        self._measured_from = -np.inf  # seconds, the first reading that `extend_back` did not prepend
         self._stamp_error, self._estimated_at = 0.0, 0  # and the number of readings when it was estimated
         self._node_stamps, self._nodes, self._passed = array("d"), GrowingArray((3,)), 0  # see `path`
 
@@ -68,6 +69,7 @@ class OdometryHistory:
         """Return a copy that later readings do not change; it shares the present ones."""
         other = OdometryHistory()
         other._stamps, other._poses = self._stamps.copy(), self._poses.copy()
+        other._measured_from = self._measured_from
         return other
 
     def __len__(self) -> int:
@@ -100,6 +102,7 @@ class OdometryHistory:
             poses.insert(0, poses[0])
         self._stamps.replace([*stamps, *self._stamps.rows])
         self._poses.replace([*poses, *self._poses.rows])
+        self._measured_from = first
         self._node_stamps, self._nodes, self._passed = array("d"), GrowingArray((3,)), 0
 
     @property
@@ -116,6 +119,11 @@ class OdometryHistory:
     def stamps(self) -> Floats:
         """(n,) seconds; not to be changed."""
         return self._stamps.rows
+
+    @property
+    def measured_stamps(self) -> Floats:
+        """(m,) seconds, without those of the readings that `extend_back` prepended; not to be changed."""
+        return self.stamps[bisect.bisect_left(self.stamps, self._measured_from) :]
 
     @property
     def poses(self) -> Floats:

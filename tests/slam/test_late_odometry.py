@@ -67,6 +67,7 @@ def test_before_its_first_reading_the_robot_is_taken_to_have_moved_evenly_for_a_
         assert history.at(stamp) == pytest.approx(expected, abs=1e-3)
     assert history.at(long_ago) == pytest.approx(history.at(10.0 - MAX_EXTENSION))
     assert len(history) == count + round(MAX_EXTENSION / USUAL_PERIOD) + 1
+    assert (len(history.copy().measured_stamps), history.copy().measured_stamps[0]) == (count, 10.0)
 
 
 def test_nothing_is_added_before_the_wanted_stamp() -> None:

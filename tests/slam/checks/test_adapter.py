@@ -77,6 +77,14 @@ def test_scans_whose_features_were_dropped_are_named() -> None:
     assert drive.dropped.tolist() == [False, False, True, False]
 
 
+def test_readings_that_were_assumed_before_the_first_one_are_no_readings_of_the_drive() -> None:
+    history = OdometryHistory.from_arrays(np.array([1.0, 1.1]), np.zeros((2, 3)))
+    history.extend_back(0.0)
+    placed, model = (np.array([0.0, 0.5, 1.0]), np.zeros((3, 3))), OdometryModel(Config().odometry)
+    drive = drive_of(scans(3), OdometrySegments([history], [0]), placed, model, 0.0)
+    assert drive.readings.tolist() == [1.0, 1.1]
+
+
 def test_a_run_without_any_placed_scan_is_an_empty_drive() -> None:
     nothing = (np.zeros(0), np.zeros((0, 3)))
     assert len(drive_of(scans(3), segments(0), nothing, OdometryModel(Config().odometry), 0.0)) == 0

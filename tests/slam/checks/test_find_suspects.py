@@ -128,6 +128,15 @@ def test_odometry_that_ends_before_the_drive_is_not_wrong() -> None:
     assert not of(ODOMETRY, find_suspects(ending))
 
 
+def test_odometry_that_begins_after_the_drive_is_not_wrong() -> None:
+    drive = simulated_drive("office")
+    first = row_at(drive, 30.0)
+    odometry = np.concatenate([np.repeat(drive.odometry[first : first + 1], first, 0), drive.odometry[first:]])
+    beginning = replace(drive, odometry=odometry, readings=drive.stamps[first:])
+    assert of(ODOMETRY, find_suspects(replace(beginning, readings=drive.stamps)))
+    assert not of(ODOMETRY, find_suspects(beginning))
+
+
 def slipping(drive: Drive, stamp: float, metres: float) -> np.ndarray:
     """Return odometry whose wheels turn for some metres too much, over two seconds."""
     odometry = drive.odometry
