@@ -147,9 +147,9 @@ def _classify(hits, passed, facing, row, column):  # type: ignore[no-untyped-def
         found = FREE
     for i in range(max(row - RINGS + 1, 0), min(row + RINGS, rows)):
         for j in range(max(column - RINGS + 1, 0), min(column + RINGS, columns)):
-            ring = int(math.hypot(i - row, j - column))
-            if ring < found and ring < RINGS and hits[facing, i, j] > 0 and hits[ALL_POINTS, i, j] >= passed[i, j]:
-                found = ring
+            if hits[facing, i, j] > 0 and hits[ALL_POINTS, i, j] >= passed[i, j]:  # at rest; true of few cells
+                ring = int(math.hypot(i - row, j - column))
+                found = ring if ring < min(found, RINGS) else found
     return found
 
 
