@@ -105,13 +105,13 @@ def _match_segment(x, y, heading, half, walls, offset_gate, heading_gate):  # ty
     best, match = 2.0, -1  # the largest distance inside the gates
     overlap = offset = turn = along = 0.0
     for j in range(len(walls.frame)):
-        angle = wrap_angle(heading - walls.frame[j, 2])
-        if abs(angle) > heading_gate:
-            continue
         wc, ws = walls.axis[j, 0], walls.axis[j, 1]
         dx, dy = x - walls.frame[j, 0], y - walls.frame[j, 1]
         across = wc * dy - ws * dx
-        if abs(across) > offset_gate:
+        if abs(across) > offset_gate:  # as of most walls
+            continue
+        angle = wrap_angle(heading - walls.frame[j, 2])
+        if abs(angle) > heading_gate:
             continue
         at = wc * dx + ws * dy
         shared = min(at + half, walls.high[j] + MATCH_END_MARGIN) - max(at - half, walls.low[j] - MATCH_END_MARGIN)
