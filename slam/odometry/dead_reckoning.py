@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
-from itertools import pairwise
-
-import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry
@@ -43,16 +39,8 @@ class DeadReckoning:
 
         stamps, poses  (n,) seconds, increasing, and (n, 3) of the readings
         """
-        motions = [self.motion(*pair) for pair in _pairs(stamps, poses)]
-        return np.array(motions).reshape(-1, 3)
+        return self.model.motions_along(poses, self.history.paths(stamps))
 
     def motions_and_covariances(self, stamps: Floats, poses: Floats) -> tuple[Floats, Floats]:
         """Return the same motions with their covariances (n - 1, 3, 3), in their end frames."""
-        found = [self.motion_and_covariance(*pair) for pair in _pairs(stamps, poses)]
-        motions, covariances = [motion for motion, _ in found], [covariance for _, covariance in found]
-        return np.array(motions).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3)
-
-
-def _pairs(stamps: Floats, poses: Floats) -> Iterator[tuple[Odometry, Odometry]]:
-    """Return the pairs of neighbouring readings with stamps (n,) and poses (n, 3)."""
-    return pairwise(Odometry(stamp, pose) for stamp, pose in zip(stamps.tolist(), poses, strict=True))
+        return self.model.motions_and_covariances(poses, self.history.paths(stamps))

@@ -13,8 +13,14 @@ from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
 from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import CORRIDOR_LENGTH
-from .history import MIN_MOTION_TRAVEL, wheel_travel
-from .path_errors import motion_along, motion_and_covariance, path_covariance
+from .history import MIN_MOTION_TRAVEL, Paths, wheel_travel
+from .path_errors import (
+    motion_along,
+    motion_and_covariance,
+    motions_along,
+    motions_and_covariances,
+    path_covariance,
+)
 from .random_errors import MIN_VARIANCE_RATE, TURN_WALK, estimate_rates
 from .systematic_errors import PERFECT, SystematicErrors
 
@@ -156,6 +162,20 @@ class OdometryModel:
             self._rates, self._floors, errors.variances, CORRELATION_LENGTH,
         )  # fmt: skip
         return motion, covariance
+
+    def motions_along(self, poses: Floats, paths: Paths) -> Floats:
+        """Return the motions (n - 1, 3) from each of measured poses (n, 3) to the next one along their paths."""
+        errors = self._systematic
+        return np.asarray(motions_along(poses, *paths, errors.length, errors.turning, errors.veer, errors.frame))
+
+    def motions_and_covariances(self, poses: Floats, paths: Paths) -> tuple[Floats, Floats]:
+        """Return the same motions, and their covariances (n - 1, 3, 3), in their end frames."""
+        errors = self._systematic
+        motions, covariances = motions_and_covariances(
+            poses, *paths, errors.length, errors.turning, errors.veer, errors.frame,
+            self._rates, self._floors, errors.variances, CORRELATION_LENGTH,
+        )  # fmt: skip
+        return motions, covariances
 
     def variances(self, travel: Floats) -> tuple[Floats, Floats]:
         """Return the variances (...,) of translation along each axis and of heading after `travel` metres (...,)."""

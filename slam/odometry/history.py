@@ -6,6 +6,7 @@ import bisect
 import math
 from array import array
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from drivers.messages import Odometry
 
 from ..geometry.growing_array import GrowingArray
 from ..geometry.normal_distribution import NORMAL_SCALE
-from ..geometry.segments import Floats
+from ..geometry.segments import Floats, Integers
 from .measurement_clock import USUAL_PERIOD
 
 # Seconds before the first reading for which the robot is taken to have moved evenly: before, it is taken to have stood.
@@ -38,6 +39,18 @@ MIN_TRIPLES = 16
 MIN_SPEED = 0.1
 # Readings from which the error of stamps is estimated, and after how many it is estimated again. Origin: numerical.
 ESTIMATED_FROM, ESTIMATED_EVERY = 512, 64
+
+
+class Paths(NamedTuple):
+    """Paths from each of n readings to the next one, see `OdometryHistory.path`.
+
+    nodes        (m, 3) all poses in between
+    first, last  (n - 1,) the nodes of a path are those from `first` to before `last`
+    """
+
+    nodes: Floats
+    first: Integers
+    last: Integers
 
 
 class OdometryHistory:
@@ -160,6 +173,13 @@ class OdometryHistory:
         poses = np.empty((max(last - first, 0) + 2, 3))
         poses[0], poses[1:-1], poses[-1] = begin.pose, self._nodes.rows[first:last], end.pose
         return poses
+
+    def paths(self, stamps: Floats) -> Paths:
+        """Return the nodes of the paths between readings with the given stamps (n,), which increase."""
+        self._add_nodes()
+        nodes = np.array(self._node_stamps)
+        first, last = np.searchsorted(nodes, stamps[:-1], side="right"), np.searchsorted(nodes, stamps[1:])
+        return Paths(self._nodes.rows, first, np.maximum(first, last))
 
     def _add_nodes(self) -> None:
         """Add the nodes of the path among the latest readings; the last reading, which may change, is none yet."""

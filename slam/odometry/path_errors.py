@@ -43,6 +43,41 @@ def motion_and_covariance(  # type: ignore[no-untyped-def]
 
 
 @compiled
+def motions_along(poses, nodes, first, last, length, turning, veer, frame):  # type: ignore[no-untyped-def]
+    """Return the motions (n - 1, 3) from each of measured poses (n, 3) to the next one, see `motion_along`.
+
+    The nodes (m, 3) of the path from pose k to the next one are those from `first[k]` to before `last[k]`.
+    """
+    motions = np.empty((len(first), 3))
+    for k in range(len(first)):
+        path = _path_through(poses[k], nodes[first[k] : last[k]], poses[k + 1])
+        motions[k] = motion_along(path, length, turning, veer, frame)
+    return motions
+
+
+@compiled
+def motions_and_covariances(  # type: ignore[no-untyped-def]
+    poses, nodes, first, last, length, turning, veer, frame, rates, floors, systematic, correlation_length
+):
+    """Return the same motions as `motions_along`, and their covariances (n - 1, 3, 3), see `path_covariance`."""
+    motions, covariances = np.empty((len(first), 3)), np.empty((len(first), 3, 3))
+    for k in range(len(first)):
+        path = _path_through(poses[k], nodes[first[k] : last[k]], poses[k + 1])
+        motions[k], covariances[k] = motion_and_covariance(
+            path, length, turning, veer, frame, rates, floors, systematic, correlation_length
+        )
+    return motions, covariances
+
+
+@compiled
+def _path_through(begin, nodes, end):  # type: ignore[no-untyped-def]
+    """Return the path (n + 2, 3) from one pose to another through some nodes (n, 3)."""
+    path = np.empty((len(nodes) + 2, 3))
+    path[0], path[1:-1], path[-1] = begin, nodes, end
+    return path
+
+
+@compiled
 def _end(path):  # type: ignore[no-untyped-def]
     """Return a copy (3,) of the last pose of a path (n, 3), with a heading from -pi to pi."""
     end = path[-1].copy()
