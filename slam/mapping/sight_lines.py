@@ -122,18 +122,14 @@ def trace_sight_lines(pose, points, frames, first, ends):  # type: ignore[no-unt
             on_wall = abs(across[p]) < ON_WALL_DISTANCE
             if not on_wall and not _three_cross(across, p, ey):
                 continue
-            run = c * points[p, 0] - s * points[p, 1]
-            if not on_wall:
-                rise = across[p] - ey
-                if abs(rise) < MIN_CROSSING_SINE * math.hypot(run, rise):
-                    continue
-                run *= -ey / rise
-            cell = math.floor((ex + run) / WALL_CELL) - first[wall]
-            if 0 <= cell < size:
-                if on_wall:
-                    seen[start + cell] = True
-                else:
-                    depth[start + cell] = max(depth[start + cell], min(abs(across[p]), abs(ey)))
+            run, rise = c * points[p, 0] - s * points[p, 1], across[p] - ey
+            cell = math.floor((ex + (run if on_wall else run * (-ey / rise))) / WALL_CELL) - first[wall]
+            if not 0 <= cell < size:  # as of most: whether a sight line is steep takes longer to compute
+                continue
+            if on_wall:
+                seen[start + cell] = True
+            elif abs(rise) >= MIN_CROSSING_SINE * math.hypot(run, rise):
+                depth[start + cell] = max(depth[start + cell], min(abs(across[p]), abs(ey)))
         for cell in range(start, start + size):
             if seen[cell]:
                 depth[cell] = 0.0
@@ -148,10 +144,12 @@ def _three_cross(across, p, eye):  # type: ignore[no-untyped-def]
     across  (p,) metres of the points from the wall's line
     eye     metres of the viewpoint
     """
-    crosses = abs(eye) >= MIN_DEPTH
-    for k in (p - 1, p, (p + 1) % len(across)):
-        crosses = crosses and eye * across[k] < 0.0 and abs(across[k]) >= MIN_DEPTH
-    return crosses
+    if abs(eye) < MIN_DEPTH:
+        return False
+    for k in (p, p - 1, p + 1 if p + 1 < len(across) else 0):  # most do not cross themselves
+        if eye * across[k] >= 0.0 or abs(across[k]) < MIN_DEPTH:
+            return False
+    return True
 
 
 def cells_seen_through(
