@@ -110,7 +110,7 @@ class Slam:
             self._estimator = Estimator(continued_state(self.config, resumed))
         self._journal = start_journal(resumed, keep_all_features=refine or keep_all_features)
         self._motions = MotionSource(self.config.odometry, self._journal.segments.last_reading)
-        self._stored = RunSession(self.config, self._journal, self._preprocessor, self._statistics, resumed)
+        self._run_session = RunSession(self.config, self._journal, self._preprocessor, self._statistics, resumed)
         self._localisation = LocalisationReport(
             self.slam_state.odometry_model.unobserved_sigma, self._publisher, self._statistics
         )
@@ -191,7 +191,7 @@ class Slam:
         self._has_odometry = True
         if self.frozen:
             self._publisher.publish(ModeChanged(first.stamp, frozen=True))
-        earlier = self._stored.earlier
+        earlier = self._run_session.earlier
         if earlier is None:
             self._use_odometry(self._journal.start_odometry_segment())
             return
@@ -315,7 +315,8 @@ class Slam:
         """Return a copy of the run, to be saved while it goes on. Raises MapError before the first keyframe."""
         if not self.slam_state.mapper.keyframe_count:
             raise MapError("nothing is mapped yet")
-        return self._stored.snapshot(self.slam_state, self._summary(self._journal.scans[-1].stamp), self._results_after)
+        summary = self._summary(self._journal.scans[-1].stamp)
+        return self._run_session.snapshot(self.slam_state, summary, self._results_after)
 
     def keyframe_covariance(self, index: int) -> Floats:
         """Return the covariance (3, 3) of a keyframe's pose in its own frame (metres, metres, radians).
@@ -349,10 +350,10 @@ class Slam:
         self._leave_out_unknown_session()
         self._journal.mark_rest_dispensable(self.slam_state.keyframe_stamps)
         state = self.slam_state
-        self._session = session or self._stored.at_end(state.copy())
+        self._session = session or self._run_session.at_end(state.copy())
         summary = self._settle(self._session)
         if self._refine:
-            self._session = self._stored.at_end(state)
+            self._session = self._run_session.at_end(state)
         return publish_run(state, self._journal, self._publisher, summary, after=self._results_after)
 
     def _close_last_loops(self) -> None:
@@ -375,7 +376,7 @@ class Slam:
             settle_plan(state, journal, self._publisher)
         end = journal.scans[-1].stamp
         self._report.end(state, end)
-        self._stored.add_last_decisions(session, state.loops)
+        self._run_session.add_last_decisions(session, state.loops)
         refined = self._refine and self._extends_map
         return self._summary(end) | settle_trajectory(state, journal, self._publisher, refined=refined)
 
@@ -406,12 +407,12 @@ class Slam:
         """
         if self._is_unknown_place or not self._preprocessor.queued or not self.slam_state.mapper.keyframe_count:
             return None
-        return self._stored.with_queue(self.slam_state.copy())
+        return self._run_session.with_queue(self.slam_state.copy())
 
     @property
     def _is_unknown_place(self) -> bool:
         """True if nothing of this run is in a place that is known to be in the map of the earlier session."""
-        if self._stored.earlier is None:
+        if self._run_session.earlier is None:
             return False
         anywhere = self._statistics.started_anywhere
         return is_unknown_place(self._estimator, self._journal, frozen=not self._extends_map, anywhere=anywhere)
@@ -427,5 +428,5 @@ class Slam:
             raise MapError(
                 "the robot was never relocalised in the map of the session; state roughly where it starts (start)"
             )
-        self._stored.earlier = None
+        self._run_session.earlier = None
         self._estimator = map_alone(self.config, self._journal, self._statistics, self._publisher)

@@ -1,7 +1,7 @@
-"""Compare each scan with the map of the others: scans in a row that fit it better elsewhere are displaced.
+"""Compare each scan with the map of the other scans: scans in a row that fit it better elsewhere are displaced.
 
-Scans that were taken shortly before or after are left out of the map, as they may be displaced together. So the others
-must show the place, from elsewhere or on another pass; what they have not seen says nothing.
+Scans that were taken shortly before or after are left out of this map, as they may be displaced together. So it shows
+only what was seen from elsewhere or on another pass; points in space that was not seen then say nothing.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from .suspect import MAP, Suspect
 
 @immutable
 class Refits:
-    """How much better n scans fit the map of the others elsewhere.
+    """How much better n scans fit the map of the other scans elsewhere; filled in scan by scan.
 
-    threshold     gain above which a scan is suspicious: ln of the number of scans per allowed false alarm
+    threshold     gain above which a scan is suspicious: ln(n / FALSE_ALARM_PROBABILITY)
     gain          (n,) logarithm of the likelihood there relative to that where the scan was placed; zero if no pose
                   can be better by the threshold
     motion        (n, 3) from where the scan was placed to there
@@ -94,6 +94,7 @@ def _each_scan(drive: Drive) -> Iterator[tuple[int, Floats, Surroundings]]:
     """Yield the row of each scan that is compared, its points (p, 6), and the map of the scans not near to it."""
     count, points = len(drive), [_points(own) for own in drive.points]
     others = LeaveOutMap(drive.poses[:, :2])
+    # The scans that are left out move along the drive: those up to FIELD_SCANS before and after the present one.
     for row in range(FIELD_SCANS, count):
         others.add(points[row], drive.poses[row])
     for row in range(count):
@@ -117,7 +118,7 @@ def _refit(found: Refits, row: int, around: Surroundings, points: Floats, pose: 
     if FIT_WEIGHT * np.nansum(1.0 - here) / len(points) <= found.threshold:
         return  # no pose can be that much better
     there = search_pose(lambda poses: around.gains(points, here, poses), pose, MAX_SEARCH)
-    gains = around.likelihoods(points, there) - here  # now also with points behind what is at rest
+    gains = around.likelihoods(points, there) - here  # also of points behind what is at rest, which `gains` leaves out
     found.gain[row] = FIT_WEIGHT * np.nansum(gains) / len(points)
     found.motion[row] = se2.between(pose, there)
     found.displacement[row] = displacement(points[:, :2], pose, there)

@@ -1,10 +1,10 @@
-"""Close loops at the end of a drive where scans fit the map of the others better elsewhere.
+"""Close loops at the end of a drive where scans fit the map of the other scans better elsewhere.
 
 Looks search old places along the drive. They miss a loop if the drive ends near its beginning and not at it, if it is
 shorter than looks are apart, or if the estimate is more certain than it should be. A scan that fits the map of the
-others better at another pose shows such a loop: from the keyframes that show the same surfaces to those of the
-displaced scans. It is closed on a copy, and stays closed if all scans of the drive together are more likely in the
-corrected map.
+other scans better at another pose is displaced. Several in a row propose a loop between their keyframes and those that
+have observed the same surfaces. It is closed on a copy, and stays closed if all scans of the drive together are more
+likely in the corrected map.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ REASON = "the scans of the whole drive fit the corrected map better"
 
 
 def close_displaced_loops(state: SlamState, journal: Journal) -> Iterator[tuple[SlamState, LoopDecision]]:
-    """Close the loops that displaced scans of a finished drive show, the clearest one first.
+    """Close the loops of a finished drive that its displaced scans propose, the clearest one first.
 
     Yields the state after each closure, which replaces the one before, and the decision. `state` is unchanged.
     """
@@ -58,7 +58,7 @@ def close_displaced_loops(state: SlamState, journal: Journal) -> Iterator[tuple[
 def _close_next(state: SlamState, journal: Journal, tried: set[float]) -> tuple[SlamState, LoopDecision] | None:
     """Close the clearest loop that corrects the map; None if there is none.
 
-    tried  stamps of the scans that have shown loops so far; those of this search are added
+    tried  stamps of the displaced scans that were examined so far; those of this search are added
     """
     drive = _sampled_drive(state, journal)
     if len(drive) < 2:
@@ -103,7 +103,7 @@ def _close(
 
 
 def _is_displaced(state: SlamState, match: LoopMatch) -> bool:
-    """Return True if the points of a match's keyframe are displaced relative to where it fits."""
+    """Return True if the points of a match's keyframe are displaced relative to the pose of the match."""
     poses = state.mapper.keyframe_poses
     points = state.local_field.points(match.keyframe)[:, :2]
     placed = se2.between(poses[match.old], poses[match.keyframe])
@@ -132,13 +132,14 @@ def are_apart(stamps: Floats, compared: Floats, group: Integers) -> NDArray[np.b
 
 @immutable
 class _DisplacedKeyframes:
-    """Keyframes of scans in a row that fit the map of the others better elsewhere.
+    """Keyframes of displaced scans in a row.
 
-    stamp   of the scan that fits better by most, seconds
+    state   that the loop is proposed for
+    stamp   of the scan that fits better elsewhere by most, seconds
     own     (n,) the keyframes
     centre  the one that is nearest to that scan in time
     motion  (3,) in the map, from where that scan was placed to where it fits
-    others  (m,) keyframes whose scans may show the place, too: those of the other scans with which it was compared
+    others  (m,) keyframes of the scans with which that scan was compared: some may have observed the same surfaces
     """
 
     state: SlamState
@@ -167,7 +168,7 @@ class _DisplacedKeyframes:
         return self.state.mapper
 
     def find_loop(self) -> LoopDecision | None:
-        """Return the decision to close the loop between these keyframes and the others that show the place.
+        """Return the decision to close the loop between these keyframes and others that show the same surfaces.
 
         None if their scans do not fit there or do not determine the pose, or if the pose is too uncertain.
         """
@@ -177,11 +178,12 @@ class _DisplacedKeyframes:
             return None
         poses, travelled = self._mapper.keyframe_poses, np.asarray(self._mapper.travelled)
         around = self.others[np.abs(travelled[self.others] - travelled[other]) < SUBMAP_LENGTH]
-        place = self._submap(around[(around > self.centre) == (other > self.centre)], other)
+        same_pass = (around > self.centre) == (other > self.centre)  # near along the drive, but not across `centre`
+        place = self._submap(around[same_pass], other)
         start = se2.between(poses[other], se2.compose(self.motion, poses[self.centre]))
         match = improve(submap, place, start)
         loop = self._loop_match(other, match)
-        if not (fits(match) and is_determined(match) and self._is_searched(loop)):
+        if not (fits(match) and is_determined(match) and self._covers_uncertainty(loop)):
             return None
         shown = {self.centre: submap.points[:, :2], other: place.points[:, :2]}
         recent, old = (se2.transform(poses[k], shown[k]) for k in (loop.keyframe, loop.old))
@@ -200,7 +202,7 @@ class _DisplacedKeyframes:
                 best, most = keyframe, fit * known
         return best
 
-    def _is_searched(self, loop: LoopMatch) -> bool:
+    def _covers_uncertainty(self, loop: LoopMatch) -> bool:
         """Return True if the search for a better pose has covered the uncertainty of the estimate.
 
         If not, a place that looks alike may have been found, and the right one is farther away.
