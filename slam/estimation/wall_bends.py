@@ -118,7 +118,7 @@ def _fit_process(profiles: Sequence[_Profile]) -> tuple[float, float]:
 def _stretches(profiles: Sequence[_Profile]) -> Iterator[_Profile]:
     """Yield the walls in stretches of at most STRETCH metres."""
     for profile in profiles:
-        stretch = np.floor(profile.place / STRETCH)
+        stretch = np.floor((profile.place - profile.place[0]) / STRETCH)
         for number in np.unique(stretch):
             cells = stretch == number
             yield _Profile(profile.wall, profile.place[cells], profile.seen[:, cells], profile.across[:, cells])

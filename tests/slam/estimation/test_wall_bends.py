@@ -24,15 +24,20 @@ POSE_SIGMAS = np.array([0.0, 0.01, 0.005])
 NO_CORNERS = CornerPoints(np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)))
 
 
-def drive_past(walls: int, sigma: float, random: np.random.Generator) -> tuple[Mapper, list[ProcessedScan], Floats]:
-    """Return a map of parallel walls, the scans of its keyframes, and the places and bends (n,) of the last wall."""
+def drive_past(
+    walls: int, sigma: float, random: np.random.Generator, frame: float = 0.0
+) -> tuple[Mapper, list[ProcessedScan], Floats]:
+    """Return a map of parallel walls, the scans of its keyframes, and the places and bends (n,) of the last wall.
+
+    The frames of the walls are `frame` metres beyond their middle.
+    """
     mapper, scans, poses = Mapper(), [], []
     places = np.arange(-HALF_WALL, HALF_WALL, SPACING)
     covariance = np.exp(-0.5 * (np.subtract.outer(places, places) / LENGTH) ** 2)
     root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(places)))
     for wall in range(walls):
         bends = sigma * root @ random.standard_normal(len(places))
-        mapper.landmarks.add_wall(np.array([0.0, 10.0 * wall, 0.0]), HALF_WALL, 0)
+        mapper.landmarks.add_wall(np.array([frame, 10.0 * wall, 0.0]), HALF_WALL, 0)
         for middle in np.linspace(HALF_VIEW - HALF_WALL, HALF_WALL - HALF_VIEW, VIEWS):
             seen = np.abs(places - middle) < HALF_VIEW
             across = bends[seen] + random.normal(0.0, NOISE, int(seen.sum()))
@@ -56,6 +61,14 @@ def test_bends_are_found_despite_noise_and_errors_of_poses() -> None:
 def test_straight_walls_have_no_bends() -> None:
     mapper, scans, _ = drive_past(20, 0.0, np.random.default_rng(2))
     assert estimate_wall_bends(mapper, scans).sigma < 0.001
+
+
+def test_bends_do_not_depend_on_the_frames_of_walls() -> None:
+    middle, end = (
+        estimate_wall_bends(*drive_past(5, 0.004, np.random.default_rng(4), frame)[:2]) for frame in (0.0, -1.0)
+    )
+    assert end.sigma == pytest.approx(middle.sigma, rel=1e-6)
+    assert end.length == middle.length
 
 
 @pytest.mark.slow
