@@ -20,6 +20,7 @@ from .. import se2
 from ..compiled import compiled, inlined
 from ..immutable import immutable
 from ..messages import Floats, Scan
+from ..small_matrices import inverse, solution
 
 # Radians, width of a direction bin in the search for the rotation.
 # Origin: chosen, at 5 m it is 10 cm, from where iterated closest points converge; not measured.
@@ -48,8 +49,9 @@ MAX_REFERENCE_POINTS = 800
 MIN_CORRESPONDENCES = 20
 # Beams to either side from which the normal of a surface is determined. Origin: chosen; not measured.
 NORMAL_SPAN = 2
-# Added to the information of a match, so that it can be inverted if nothing determines a direction. Origin: numerical.
-REGULARISATION = 1e-9 * np.eye(3)
+# Added to the diagonal of a match's information, so that it can be inverted if nothing determines a direction.
+# Origin: numerical.
+REGULARISATION = 1e-9
 
 
 @immutable
@@ -162,21 +164,33 @@ def _range_profile(scan: Scan) -> Floats:
 def match(points: Floats, reference: Surface, guess: se2.Pose) -> Match | None:
     """Match points (n, 2) to a reference, starting from the pose `guess`; None if they have too little in common."""
     points = np.ascontiguousarray(points[:: max(1, -(-len(points) // MAX_POINTS))])
-    pose, reach = np.array(guess, dtype=np.float64), FIRST_REACH
+    start = np.array(guess, dtype=np.float64)
+    pose, variance, cost = _match(points, reference.points, reference.normals, reference.order, start)
+    return None if math.isinf(cost) else Match(pose, math.sqrt(variance), cost)
+
+
+@compiled
+def _match(points, reference, normals, order, pose):  # type: ignore[no-untyped-def]
+    """Return the pose, the variance of its heading and the cost of `match`; the cost is infinite if there is no match.
+
+    For the arguments see `_normal_equations`.
+    """
+    reach = FIRST_REACH
     for _ in range(MAX_ITERATIONS):
-        equations = _normal_equations(points, reference.points, reference.normals, reference.order, pose, reach)
+        equations = _normal_equations(points, reference, normals, order, pose, reach)
         information, gradient, found, weight, squares, loss = equations
         if found < MIN_CORRESPONDENCES:
-            return None
-        step = np.linalg.solve(information + REGULARISATION, gradient)
-        pose = pose - step
-        if reach == LAST_REACH and np.abs(step).max() < CONVERGED:
+            return pose, 0.0, np.inf
+        for i in range(3):
+            information[i, i] += REGULARISATION
+        dx, dy, turn = solution(information, gradient)
+        pose = np.array([pose[0] - dx, pose[1] - dy, pose[2] - turn])
+        if reach == LAST_REACH and max(abs(dx), abs(dy), abs(turn)) < CONVERGED:
             break
         reach = max(LAST_REACH, REACH_FACTOR * reach)
-    variance = squares / max(1.0, weight - 3.0)
+    variance = squares / max(1.0, weight - 3.0) * inverse(information)[2, 2]
     unmatched = math.log1p((LAST_REACH / SCALE) ** 2) * (len(points) - found)
-    covariance = np.linalg.inv(information + REGULARISATION)
-    return Match(pose, math.sqrt(variance * covariance[2, 2]), (loss + unmatched) / len(points))
+    return pose, variance, (loss + unmatched) / len(points)
 
 
 def surface_loss(points: Floats, reference: Surface, reach: float) -> tuple[float, int]:

@@ -24,8 +24,8 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry
+from drivers.small_matrices import inverse
 
-from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import INDOOR_RANGE
 from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult, TrackingStatus

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from drivers.small_matrices import inverse
+
 from ..geometry.pose_covariance import position_sigma
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse
 from ..localisation.prediction_error import PREDICTION_SIGMAS
 from ..localisation.tracking import TrackingResult
 from ..matching.distance_field import DistanceField

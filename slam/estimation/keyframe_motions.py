@@ -6,10 +6,10 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry
+from drivers.small_matrices import inverse
 
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse
 from ..localisation.match_target import points_of
 from ..localisation.tracking import TrackingResult
 from ..mapping.keyframes import KeyframeMotion, RelativeScanMatch

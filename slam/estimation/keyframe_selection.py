@@ -13,11 +13,11 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry
+from drivers.small_matrices import inverse
 
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.membership import is_among
 from ..geometry.pose_covariance import covariance_after
-from ..geometry.small_matrices import inverse
 from ..localisation.tracking import CONDITIONING, TrackingResult
 from ..odometry.error_model import MAX_LEARNING_SIGMA
 from ..odometry.history import QUARTER_TURN

@@ -15,8 +15,8 @@ import numpy as np
 
 from drivers import se2
 from drivers.immutable import immutable
+from drivers.small_matrices import inverse, is_positive_definite
 
-from ..geometry.small_matrices import inverse, is_positive_definite
 from ..localisation.match_target import MatchTarget
 from ..localisation.tracking import TrackingResult, TrackingStatus
 from ..loop_closure.decision import LoopDecision

@@ -13,11 +13,11 @@ import numpy as np
 
 from drivers import se2
 from drivers.immutable import immutable
+from drivers.small_matrices import inverse
 from features.normal_limits import GROSS_LIMIT, NORMAL_LIMIT
 
 from ..geometry.segments import Floats
 from ..geometry.significance import MOST
-from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import Prediction
 from ..odometry.dead_reckoning import DeadReckoning
 from ..odometry.history import wheel_travel

@@ -9,11 +9,11 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry
+from drivers.small_matrices import inverse
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.pose_covariance import covariance_after
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse
 from ..matching.point_matcher import MAX_SEARCH_SHIFT, PointMatch, Prediction, information_of
 from ..odometry.dead_reckoning import DeadReckoning
 from ..odometry.history import wheel_travel

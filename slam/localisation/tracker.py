@@ -22,9 +22,9 @@ import numpy as np
 
 from drivers import se2
 from drivers.messages import Odometry
+from drivers.small_matrices import inverse
 
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import MIN_WALL_LENGTH
 from ..matching.point_matcher import MIN_KNOWN_POINTS, PointMatch, Prediction, information_of
 from ..matching.scan_features import ScanFeatures

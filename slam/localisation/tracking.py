@@ -10,11 +10,11 @@ import numpy as np
 from drivers import se2
 from drivers.immutable import immutable
 from drivers.messages import Odometry
+from drivers.small_matrices import inverse
 
 from ..geometry.degeneracy import MIN_INFORMATION
 from ..geometry.pose_steps import pose_error
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse
 from ..matching.line_matcher import Registration
 from ..matching.point_matcher import Prediction
 from ..odometry.velocity import VelocityFilter

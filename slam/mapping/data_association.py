@@ -14,13 +14,13 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled, inlined
 from drivers.immutable import immutable
+from drivers.small_matrices import bilinear_form, mahalanobis_squared, quadratic_form
 
 from ..geometry.angles import wrap_angle
 from ..geometry.chi_square import chi_square_quantile
 from ..geometry.roughness import Roughness
 from ..geometry.segments import CornerPoints, Floats, Integers, Segments
 from ..geometry.significance import GATE
-from ..geometry.small_matrices import bilinear_form, mahalanobis_squared, quadratic_form
 from ..geometry.surroundings import DOOR_WIDTH
 from .local_map import (
     MAX_HEADING_DIFFERENCE,

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.compiled import compiled
 from drivers.immutable import immutable
+from drivers.small_matrices import is_positive_definite, quadratic_form, without_negative_part
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers
-from ..geometry.small_matrices import is_positive_definite, quadratic_form, without_negative_part
 from .landmarks import Landmarks
 
 # Metres between a feature and its landmark, however uncertain the pose: two faces of furniture are this far apart.

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.compiled import compiled, inlined
 from drivers.immutable import immutable
+from drivers.small_matrices import quadratic_form
 from features.normal_limits import NORMAL_LIMIT
 
 from ..geometry.segments import Floats, Integers
-from ..geometry.small_matrices import quadratic_form
 from .landmarks import Landmarks
 from .near_landmarks import is_beyond_reach
 from .wall_cells import END_ERROR_CELLS, ON_WALL_DISTANCE, WALL_CELL

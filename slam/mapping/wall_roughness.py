@@ -17,13 +17,13 @@ import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled
+from drivers.small_matrices import inverse, product, quadratic_form
 
 from ..geometry.angles import wrap_angle
 from ..geometry.median import weighted_median
 from ..geometry.normal_distribution import NORMAL_MEDIAN
 from ..geometry.roughness import Roughness, wall_weights
 from ..geometry.segments import Floats, Integers, Segments
-from ..geometry.small_matrices import inverse, product, quadratic_form
 from .local_map import LocalMap
 
 # Latest observations used: some hundred keyframes. Origin: chosen, follows a change of building; not measured.

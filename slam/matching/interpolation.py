@@ -11,8 +11,8 @@ import math
 import numpy as np
 
 from drivers.compiled import compiled, inlined
+from drivers.small_matrices import without_negative_part
 
-from ..geometry.small_matrices import without_negative_part
 from .distance_field import facing_grid
 from .free_space import SEEN_CELLS, is_seen
 from .offset_tiles import FIELD_CELL, NO_OFFSET, metres, offset_at

@@ -12,12 +12,12 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled, inlined
 from drivers.immutable import immutable
+from drivers.small_matrices import product, solution
 
 from ..geometry.angles import axes_of
 from ..geometry.pose_steps import difference, move_back, wrap_heading
 from ..geometry.roughness import Roughness
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import product, solution
 from ..mapping.local_map import LocalMap
 from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information

@@ -10,8 +10,8 @@ import math
 import numpy as np
 
 from drivers.compiled import compiled, inlined
+from drivers.small_matrices import quadratic_form
 
-from ..geometry.small_matrices import quadratic_form
 from ..mapping.sight_lines import MIN_DEPTH
 from .distance_field import ALL_POINTS, facing_grid, nearest_distance
 from .free_space import NEW_SURFACE, is_seen

@@ -24,14 +24,7 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled, inlined
 from drivers.immutable import immutable
-from features.normal_limits import NORMAL_LIMIT
-
-from ..geometry.angles import wrap_angle
-from ..geometry.degeneracy import MIN_INFORMATION
-from ..geometry.pose_steps import difference, move_back, wrap_heading
-from ..geometry.segments import Floats
-from ..geometry.significance import MOST
-from ..geometry.small_matrices import (
+from drivers.small_matrices import (
     inverse,
     log_determinant,
     product,
@@ -39,6 +32,13 @@ from ..geometry.small_matrices import (
     solution,
     without_negative_part,
 )
+from features.normal_limits import NORMAL_LIMIT
+
+from ..geometry.angles import wrap_angle
+from ..geometry.degeneracy import MIN_INFORMATION
+from ..geometry.pose_steps import difference, move_back, wrap_heading
+from ..geometry.segments import Floats
+from ..geometry.significance import MOST
 from ..odometry.continuity import MIN_JUMP
 from .distance_field import DistanceField
 from .interpolation import add_points, memory_for, unbiased_information

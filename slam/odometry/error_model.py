@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from drivers import se2
+from drivers.small_matrices import inverse
 
 from ..config import OdometryConfig
 from ..geometry.degeneracy import weakest_direction
 from ..geometry.segments import Floats
-from ..geometry.small_matrices import inverse
 from ..geometry.surroundings import CORRIDOR_LENGTH
 from .history import MIN_MOTION_TRAVEL, Paths, wheel_travel
 from .path_errors import (

@@ -30,9 +30,9 @@ import numpy as np
 
 from drivers import se2
 from drivers.compiled import compiled, inlined
+from drivers.small_matrices import inverse
 
 from ..geometry.segments import CornerPoints, Floats, Segments
-from ..geometry.small_matrices import inverse
 from ..odometry.error_model import OdometryModel
 from .deskew import DeskewedScan
 from .sweep_responses import segment_jacobians, segment_responses

@@ -9,10 +9,10 @@ import numpy as np
 from drivers import se2
 from drivers.compiled import compiled, inlined
 from drivers.immutable import immutable
+from drivers.small_matrices import solve
 
 from ..geometry.angles import wrap_angle
 from ..geometry.segments import Floats, Integers
-from ..geometry.small_matrices import solve
 from ..loop_closure.submap_search import DISTINCT_SHIFT
 from ..mapping.wall_cells import END_ERROR_CELLS, WALL_CELL
 from ..matching.scan_points import FINE_SIGMA

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.compiled import compiled
+from drivers.small_matrices import inverse
 
 from ...geometry.pose_covariance import POSE_SIGMAS
 from ...geometry.segments import Floats
-from ...geometry.small_matrices import inverse
 from ...odometry.velocity import ACCELERATIONS, MAX_VELOCITIES
 
 # Metres, metres, radians: standard deviations of the pose, relative to its keyframe, of a scan that was tracked.

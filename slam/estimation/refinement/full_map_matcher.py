@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from drivers import se2
 from drivers.compiled import compiled
 from drivers.immutable import immutable
+from drivers.small_matrices import inverse, quadratic_form
 
 from ...geometry.angles import wrap_angle
 from ...geometry.roughness import Roughness
 from ...geometry.segments import Floats, Integers
-from ...geometry.small_matrices import inverse, quadratic_form
 from ...geometry.surroundings import INDOOR_RANGE, ROOM_SIZE
 from ...localisation.local_field import REFERENCE_DISTANCE
 from ...localisation.match_target import MatchTarget

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from drivers.compiled import compiled, inlined
+from .compiled import compiled, inlined
 
 # Sweeps of Jacobi's method; it converges quadratically. Origin: numerical, 20 000 random matrices took four at most.
 MAX_SWEEPS = 10

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from slam.geometry.small_matrices import (
+from drivers.small_matrices import (
     bilinear_form,
     inverse,
     log_determinant,
