@@ -14,7 +14,7 @@ from .estimation.wall_bends import settle_wall_bends
 from .events import Finished, Notice
 from .localisation.tracking import PoseFix
 from .memory import return_freed_memory
-from .odometry.scan_delay import ScanDelay, estimate_scan_delay
+from .reporting.lidar_delay import find_scan_delay
 from .reporting.publisher import Publisher
 from .reporting.results import publish_results
 from .reporting.run_statistics import RunStatistics
@@ -75,7 +75,7 @@ def settle_trajectory(state: SlamState, journal: Journal, publisher: Publisher, 
     history = journal.history(state)
     summary = _refine_or_match(state, journal, history, publisher, refined=refined)
     return_freed_memory()  # of the matches, else what is written would add to it
-    bends, delay = settle_wall_bends(state.mapper, history), _find_scan_delay(state, journal)
+    bends, delay = settle_wall_bends(state.mapper, history), find_scan_delay(state, journal)
     return summary | {"wall_bends": bends, "scan_delay": None if delay is None else delay.row()}
 
 
@@ -106,22 +106,6 @@ def _refine_or_match(
     state.replace_map(result.mapper, result.trajectory, fix, history.keyframe_scans)
     publisher.publish_map(stamp, state.mapper)
     return {"refinement": result.summary}
-
-
-def _find_scan_delay(state: SlamState, journal: Journal) -> ScanDelay | None:
-    """Return the delay of the scans' stamps that is left, in the longest stretch of continuous odometry.
-
-    None without odometry or keyframes.
-    """
-    if not state.odometry_model.measured or not state.keyframe_stamps:
-        return None
-    stamps = np.array(state.keyframe_stamps)
-    begins = np.array([-np.inf, *(history.stamps[0] for history in journal.segments.histories[1:])])
-    segment = np.searchsorted(begins, stamps, side="right") - 1
-    longest = int(np.bincount(segment).argmax())
-    rows = np.flatnonzero(segment == longest)
-    history = journal.segments.histories[longest]
-    return estimate_scan_delay(stamps[rows], state.mapper.keyframe_poses[rows], history, state.odometry_model)
 
 
 def publish_run(
