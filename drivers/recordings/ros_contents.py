@@ -105,4 +105,5 @@ def survey(messages: Iterable[StoredMessage]) -> Contents:
                 contents.base = decode(stored.data, ODOMETRY, stored.encoding).child_frame_id or None
         except ValueError:
             continue  # counted when the recording is read; a transform that cannot be decoded leaves the mount unknown
+    contents.clocks.separate_sources()
     return contents

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
@@ -39,8 +39,9 @@ from .ros_messages import (
     yaw_rate_of,
 )
 from .ros_scans import ScanConverter
+from .scan_sources import choose_scan_source
 from .scan_topics import ScanTopic, choose_scan_topic
-from .sensor_clocks import Stream, restamped, stream_of
+from .sensor_clocks import Stream, restamped
 from .stored_messages import (
     OdometryTopic,
     StoredMessage,
@@ -128,7 +129,8 @@ class RosReader(RecordingReader):
         foreign, reason = self._foreign_scans
         if reason is not None:
             self.interpret(reason)
-        shifts = self._shifts(scans, odometry, imu)
+        foreign |= self._other_odometry(imu)
+        shifts = self._shifts(foreign, imu)
         if scans in contents.counts.get(LASER_SCAN, Counter()):
             self._interpret_mounts(contents, scans)
         converter = ScanConverter(contents, scans, self.cut, per_metre, contents.find_no_return(scans, per_metre))
@@ -136,21 +138,20 @@ class RosReader(RecordingReader):
         for topic in sorted({stream.topic for stream in standing}):
             self.interpret(f"stamps of {topic} stand still: the times of reception are taken")
         for stored in self._messages_to_read(final=True):
+            stream = contents.clocks.stream_of(stored) if foreign or shifts or standing else None
+            if stream in foreign:
+                continue
             try:
                 if stored.msgtype in (BEAMS, LASER_SCAN, POINT_CLOUD):
-                    is_foreign = bool(foreign) and stored.msgtype == LASER_SCAN and stream_of(stored) in foreign
-                    if not is_foreign and (scan := converter.convert(stored)) is not None:
-                        yield stored.number, restamped(scan, stored, standing)
+                    if (scan := converter.convert(stored)) is not None:
+                        yield stored.number, restamped(scan, stored, standing=stream in standing)
                 elif odometry.is_in(stored):
-                    shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
                     for reading in odometry.readings(stored):
-                        yield stored.number, delay_odometry(restamped(reading, stored, standing), shift)
+                        timed = restamped(reading, stored, standing=stream in standing)
+                        yield stored.number, delay_odometry(timed, shifts.get(stream, 0.0))
                 elif stored.msgtype == IMU and stored.topic == imu:
-                    shift = shifts.get(stream_of(stored), 0.0) if shifts else 0.0
-                    yield (
-                        stored.number,
-                        delay_odometry(restamped(self._yaw_rate(stored, contents), stored, standing), shift),
-                    )
+                    rate = restamped(self._yaw_rate(stored, contents), stored, standing=stream in standing)
+                    yield stored.number, delay_odometry(rate, shifts.get(stream, 0.0))
                 elif stored.msgtype == POSE and stored.topic == GROUND_TRUTH_TOPIC:
                     pose = decode(stored.data, POSE, stored.encoding)
                     yield stored.number, GroundTruth(stamp_of(pose.header, stored.received), planar_pose(pose.pose))
@@ -231,31 +232,48 @@ class RosReader(RecordingReader):
     def _foreign_scans(self) -> tuple[frozenset[Stream], str | None]:
         """Scans on the chosen topic that are not of the lidar, and the reason as text; none if they have one clock."""
         topic, clocks = self._chosen_scan_topic[0], self._contents.clocks
-        if topic not in self._contents.counts.get(LASER_SCAN, Counter()) or not clocks.apart(topic):
+        if topic is None or topic not in self._contents.counts.get(LASER_SCAN, Counter()) or not clocks.apart(topic):
             return frozenset(), None
-        candidates = {stream: ScanTopic(stream.frame) for stream in clocks.streams(topic)}
-        for stored in self._messages_to_read(final=False):
-            if stored.msgtype == LASER_SCAN and (stream := stream_of(stored)) in candidates:
-                with suppress(ValueError):  # counted on the final pass
-                    message = decode(stored.data, LASER_SCAN, stored.encoding)
-                    candidates[stream].add(scan_of(message, stored.received, LidarMount()))
-        lidar = max(candidates, key=lambda stream: candidates[stream].quality)
-        foreign = frozenset(stream for stream in candidates if clocks.ahead(lidar, stream))
-        others = "; ".join(
-            f"{stream.frame}: {candidates[stream].describe()}" for stream in candidates if stream in foreign
-        )
-        return foreign, (
-            f"scans of {topic} with the frame {lidar.frame}: {candidates[lidar].describe()} "
-            f"(left out, since they have another clock: {others})"
-        )
+        odometry = [stream for stream in clocks.delays if self._is_odometry(stream)]
+        return choose_scan_source(self._messages_to_read(final=False), topic, clocks, odometry)
 
-    def _shifts(self, scans: str | None, odometry: OdometryTopic, imu: str | None) -> dict[Stream | None, float]:
-        """Return the seconds to be added to stamps of odometry and gyroscope on another clock than the scans."""
-        clocks = self._contents.clocks
-        lidars = [stream for stream in clocks.streams(scans) if stream not in self._foreign_scans[0]]
+    def _is_odometry(self, stream: Stream) -> bool:
+        """Return True for a stream with the odometry that is read."""
+        return stream.topic == self._odometry.topic or (stream.frame, stream.child) == self._odometry.frames
+
+    def _other_odometry(self, imu: str | None) -> frozenset[Stream]:
+        """Return the streams of odometry and gyroscope that other sources publish on the same topic, and report them.
+
+        imu  topic of the gyroscope
+        """
+        clocks, lidar = self._contents.clocks, self._lidar
+        topics = {stream.topic for stream in clocks.delays if self._is_odometry(stream) or stream.topic == imu}
+        left_out = frozenset[Stream]()
+        if lidar is None:
+            return left_out
+        for topic in sorted(topics):
+            others = clocks.other_sources(topic, lidar)
+            if others:
+                count = sum(len(clocks.delays[stream]) for stream in others)
+                self.interpret(f"several sources publish on {topic}: {count} messages with another clock are left out")
+            left_out |= others
+        return left_out
+
+    @property
+    def _lidar(self) -> Stream | None:
+        """Stream of the scans that are read; None if there are no scans with stamps."""
+        streams = self._contents.clocks.streams(self._chosen_scan_topic[0])
+        return next((stream for stream in streams if stream not in self._foreign_scans[0]), None)
+
+    def _shifts(self, foreign: Set[Stream], imu: str | None) -> dict[Stream | None, float]:
+        """Return the seconds to be added to stamps of odometry and gyroscope on another clock than the scans.
+
+        foreign  streams that are not read
+        imu      topic of the gyroscope
+        """
         shifts: dict[Stream | None, float] = {}
-        for stream, seconds in clocks.shifts(lidars[0]).items() if lidars else ():
-            if stream.topic in (odometry.topic, imu) or (stream.frame, stream.child) == odometry.frames:
+        for stream, seconds in self._contents.clocks.shifts(self._lidar).items() if self._lidar else ():
+            if stream not in foreign and (self._is_odometry(stream) or stream.topic == imu):
                 shifts[stream] = seconds
                 self.interpret(f"stamps of {stream.topic} moved by {seconds:.3f} s: its clock is not that of the scans")
         return shifts

@@ -5,23 +5,29 @@ of the recorder. A robot may have several computers, and not all know the time: 
 1970 or where it stopped, a simulator counts from zero. Then stamps of one sensor are years away from those of another.
 How much later than its stamp a message is received differs between messages by the delays of transport, and between
 clocks by a constant.
+
+Several programs may publish on one topic with the same frame: a lidar, and a recording that is replayed meanwhile. Both
+times tell them apart, too. A clock that is set makes the difference another one, once; between two sources it changes
+whenever a message of one follows a message of the other.
 """
 
 from __future__ import annotations
 
 import struct
 from array import array
+from bisect import bisect
 from collections.abc import Set
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..messages import Odometry, Scan, YawRate
+from ..messages import Floats, Odometry, Scan, YawRate
 from ..timestamps import to_seconds
 from .point_clouds import POINT_CLOUD
 from .ros_messages import IMU, LASER_SCAN, ODOMETRY, TRANSFORMS, TRANSFORMS_ROS1
 from .stored_messages import StoredMessage
+from .time_ordering import MAX_LATENESS
 from .transforms import normalize_frame
 
 MIN_DIFFERENCE = 5.0
@@ -34,8 +40,8 @@ MAX_SPREAD = 0.5
 """Range of these times, as a share of the difference, up to which the difference is constant. Origin: geometry; the
 ranges of two clocks are apart then."""
 MIN_STANDING = 10
-"""Messages with the first stamp of their stream from which its clock may stand. Origin: chosen; a few may be of one
-burst."""
+"""Messages with the first stamp of their stream from which its clock may stand, and messages of a source at least.
+Origin: chosen; a few may be of one burst, or have wrong stamps."""
 MAX_STREAMS = 1000
 """Streams that are compared. Origin: chosen, more than any robot has; the frames of a damaged recording are random."""
 STAMPED = frozenset({LASER_SCAN, ODOMETRY, IMU, POINT_CLOUD})
@@ -47,11 +53,15 @@ Stamped = TypeVar("Stamped", Scan, Odometry, YawRate)
 
 
 class Stream(NamedTuple):
-    """Messages from one sensor: their topic, the frame of their header, and for transforms the frame that they move."""
+    """Messages from one sensor: their topic, the frame of their header, and for transforms the frame that they move.
+
+    source  number of the program that publishes them, if there are several, see `SensorClocks.separate_sources`
+    """
 
     topic: str
     frame: str
     child: str = ""
+    source: int = 0
 
 
 @dataclass(slots=True)
@@ -60,6 +70,7 @@ class SensorClocks:
 
     delays: dict[Stream, array[float]] = field(default_factory=dict)
     _first: dict[Stream, tuple[int, int]] = field(default_factory=dict)  # first stamp, and how often it came
+    _limits: dict[Stream, list[float]] = field(default_factory=dict)  # seconds between the delays of several sources
 
     def add(self, stored: StoredMessage) -> None:
         """Add a message; those without a stamp, and those of streams beyond MAX_STREAMS, do not count."""
@@ -69,6 +80,40 @@ class SensorClocks:
             first, count = self._first.get(stream, (nanoseconds, 0))
             self._first[stream] = first, count + (nanoseconds == first)
             self.delays.setdefault(stream, array("d")).append((stored.received - nanoseconds) * 1e-9)
+
+    def separate_sources(self) -> None:
+        """Separate the messages of several sources on one topic with the same frames, after the last was added."""
+        for stream, delays in list(self.delays.items()):
+            limits = [] if self.stands(stream) else _limits_between_sources(np.frombuffer(delays))
+            if limits:
+                self._limits[stream] = limits
+                for delay in self.delays.pop(stream):
+                    source = stream._replace(source=bisect(limits, delay))
+                    self._first[source] = 0, 0
+                    self.delays.setdefault(source, array("d")).append(delay)
+
+    def stream_of(self, stored: StoredMessage) -> Stream | None:
+        """Return the stream of a message; None if it has no header."""
+        found = _header(stored)
+        if found is None:
+            return None
+        nanoseconds, stream = found
+        limits = self._limits.get(stream)
+        return stream._replace(source=bisect(limits, (stored.received - nanoseconds) * 1e-9)) if limits else stream
+
+    def other_sources(self, topic: str | None, lidar: Stream) -> frozenset[Stream]:
+        """Return the streams of a topic to be left out, since another source of the same has the clock of a lidar.
+
+        If none has it, the source with the most messages is kept.
+        """
+        groups: dict[Stream, list[Stream]] = {}
+        for stream in self.streams(topic):
+            groups.setdefault(stream._replace(source=0), []).append(stream)
+        others = set[Stream]()
+        for sources in groups.values():
+            kept = next((stream for stream in sources if not self.ahead(lidar, stream)), sources[0])
+            others |= {stream for stream in sources if self.ahead(kept, stream)}
+        return frozenset(others)
 
     def streams(self, topic: str | None) -> list[Stream]:
         """Return the streams of a topic, that with the most messages first."""
@@ -117,17 +162,30 @@ class SensorClocks:
         return float(values[0]), float(values[1]), float(values[2])
 
 
-def restamped(message: Stamped, stored: StoredMessage, standing: Set[Stream]) -> Stamped:
+def restamped(message: Stamped, stored: StoredMessage, *, standing: bool) -> Stamped:
     """Return a message, which was decoded from a stored one, with the time of reception if its clock is `standing`."""
-    if not standing or stream_of(stored) not in standing:
-        return message
-    return replace(message, stamp=to_seconds(stored.received))
+    return replace(message, stamp=to_seconds(stored.received)) if standing else message
 
 
-def stream_of(stored: StoredMessage) -> Stream | None:
-    """Return the stream of a message; None if it has no header."""
-    found = _header(stored)
-    return None if found is None else found[1]
+def _limits_between_sources(delays: Floats) -> list[float]:
+    """Return the delays (seconds, ascending) between those of sources that publish in turn; none for a single one.
+
+    Sources that publish at random change more often, on average, than the rarer one has messages, and those that
+    publish steadily nearly twice as often.
+
+    delays  (n,) of the messages in the order of their reception
+    """
+    order = np.argsort(delays, kind="stable")
+    steps = np.flatnonzero(np.diff(delays[order]) > MAX_LATENESS)
+    if len(steps) == 0:
+        return []
+    limits = 0.5 * (delays[order[steps]] + delays[order[steps + 1]])
+    side = np.searchsorted(limits, delays)
+    before, after = np.minimum(side[:-1], side[1:]), np.maximum(side[:-1], side[1:])
+    ends = len(limits) + 1
+    changes = np.cumsum(np.bincount(before, minlength=ends) - np.bincount(after, minlength=ends))[:-1]
+    rarer = np.minimum(steps + 1, len(delays) - steps - 1)
+    return [float(limit) for limit in limits[(rarer >= MIN_STANDING) & (changes > rarer)]]
 
 
 def _header(stored: StoredMessage) -> tuple[int, Stream] | None:

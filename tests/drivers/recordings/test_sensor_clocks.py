@@ -133,6 +133,41 @@ def test_scans_of_a_simulator_on_the_topic_of_a_lidar_are_left_out(
     assert "left out, since they have another clock: simulated_laser:" in reason
 
 
+@pytest.mark.parametrize("transforms", [False, True])
+@pytest.mark.parametrize("live_odometry", [False, True])
+def test_of_a_lidar_and_a_replayed_recording_on_one_topic_one_is_read(
+    path: Path, drive: list[Message], write_bag: WriteBag, transforms: bool, live_odometry: bool
+) -> None:
+    """Both have the same frames. If only the recording has odometry, its scans are read, though it is shorter."""
+    earlier, begin = -600000.0, drive[0].stamp + 1.0
+    played = [message for message in drive if message.stamp > begin]
+    replayed = entries(played, earlier, lambda stamp: earlier, transforms)
+    shifted = [replace(message, stamp=message.stamp + 0.013) for message in drive]
+    live = entries(shifted if live_odometry else scans_of(shifted), transforms=transforms)
+    source = drivers.open(write_bag(path, sorted([*replayed, *live], key=lambda entry: entry[2])))
+    messages = list(source)
+    read, start = (shifted, START) if live_odometry else (played, START + earlier)
+    for kept, expected in ((scans_of(messages), scans_of(read)), (odometry_of(messages), odometry_of(read))):
+        assert [one.stamp - start for one in kept] == pytest.approx([one.stamp for one in expected], abs=1e-5)
+    reasons = [text for text in source.report.interpretations if "several sources publish on" in text]
+    assert len(reasons) == 1 + live_odometry
+    assert any(
+        text.startswith("several sources publish on /scan, as a lidar and a replayed recording do;") for text in reasons
+    )
+    assert f"stamped {-earlier:.1f} s {'earlier' if live_odometry else 'later'}:" in " ".join(reasons)
+    assert not source.report.corrected
+    assert not source.report.skipped
+
+
+def test_a_clock_that_is_set_back_is_of_one_source(path: Path, drive: list[Message], write_bag: WriteBag) -> None:
+    middle = 0.5 * (drive[0].stamp + drive[-1].stamp)
+    first = entries(message for message in drive if message.stamp < middle)
+    later = entries((message for message in drive if message.stamp >= middle), -600000.0, lambda stamp: -600000.0)
+    source = drivers.open(write_bag(path, [*first, *later]))
+    assert len(scans_of(source)) == len(scans_of(drive))
+    assert not [text for text in source.report.interpretations if "sources" in text]
+
+
 def test_two_lidars_of_one_clock_on_a_topic_are_both_read(
     path: Path, drive: list[Message], write_bag: WriteBag
 ) -> None:
