@@ -40,6 +40,10 @@ DIRECTIONS = 48
 # Relative difference from which on the stated duration of a turn is not the time from scan to scan.
 # Origin: chosen; a smaller one bends scans by less than the noise of a bearing.
 DIFFERENT = 0.2
+# Ratio of the stated duration of a turn and the time from scan to scan, or the inverse, from which on the stated times
+# are doubtful. Origin: chosen; a driver may send some times during a turn what has been measured since the same time of
+# the turn before, and a program may leave out some scans of a fast lidar.
+DOUBTFUL = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,12 +55,27 @@ class BeamOrderTest:
     statistic     log-likelihood of the times that explain the scans best minus that of the opposite order, or of the
                   stated times if all beams were measured at once, divided by its standard error
     stated_sweep  seconds from the first beam of a scan to the last, as stated; 0 if nothing is stated
+    stated_turn   the same of a whole turn of the lidar
+    scan_period   seconds from scan to scan
     """
 
     times: BeamTimes | None
     pairs: int
     statistic: float
     stated_sweep: float
+    stated_turn: float = 0.0
+    scan_period: float = 0.0
+
+    def doubts(self) -> list[str]:
+        """Return that the stated times do not fit the time from scan to scan, as lines of text, if they are used."""
+        turn, period = self.stated_turn, self.scan_period
+        if self.times is not None or turn <= 0.0 or period / DOUBTFUL < turn < DOUBTFUL * period:
+            return []
+        return [
+            f"the beams of a scan are measured within {self.stated_sweep:.3g} s by their stated times, but scans are "
+            f"{period:.3g} s apart, and they do not show what is right: if the lidar turns once from scan to scan, set "
+            f"lidar.turn_period={period:.3g}, and lidar.beam_order=reversed if clockwise"
+        ]
 
 
 def decide_beam_order(turns: Turns) -> BeamOrderTest:
@@ -73,7 +92,7 @@ def decide_beam_order(turns: Turns) -> BeamOrderTest:
         result = _decision(hypotheses, costs, turns.stated_sweep)
         if result.times is not None or end >= len(pairs):
             break
-    return result
+    return replace(result, stated_turn=turns.stated_turn, scan_period=turns.scan_period)
 
 
 def _decision(hypotheses: Sequence[BeamTimes], costs: Sequence[tuple[float, ...]], stated: float) -> BeamOrderTest:

@@ -172,14 +172,18 @@ class RecordingTiming:
         return lines
 
     def doubts(self) -> list[str]:
-        """Return what is probably wrong with the lidar's mount or the turns of odometry, as lines of text."""
+        """Return what is probably wrong with the times of beams, the lidar's mount or the turns of odometry, as lines
+        of text.
+        """
+        times = [] if self.order_test is None else self.order_test.doubts()
         if self.mount_heading is None or self.stated_mount is None or self.turn_doubts:
-            return [*self.turn_doubts, *([UNKNOWN_MOUNT] if self.mount_unknown else [])]
+            return [*times, *self.turn_doubts, *([UNKNOWN_MOUNT] if self.mount_unknown else [])]
         x, y, heading = self.stated_mount
         return [
+            *times,
             f"the lidar seems to be turned by {self._turn()} on the robot, but by {math.degrees(heading):z.0f} by its "
             f"mount: set lidar.mount=[{x:z.3g},{y:z.3g},{self.mount_heading.found:z.2f}], or estimate it by "
-            "`wclm calibrate`"
+            "`wclm calibrate`",
         ]
 
     def _turn(self) -> str:

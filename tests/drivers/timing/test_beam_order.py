@@ -65,6 +65,21 @@ def test_a_lidar_that_turns_is_recognised_if_no_times_or_those_of_a_buffer_are_s
         assert found.turn == pytest.approx(1.0 / RATE, rel=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("sweep", "is_doubtful"),
+    [(1e-4, True), (0.05 / RATE, True), (0.2 / RATE, False), (1.0 / RATE, False), (30.0 / RATE, True)],
+)
+def test_stated_times_that_do_not_fit_the_period_are_doubtful_if_the_scans_do_not_decide(
+    sweep: float, is_doubtful: bool
+) -> None:
+    end = office_drive()[0].stamp + 2.0  # too few scans to decide anything
+    test = decide_beam_order(Turns(with_offsets([one for one in office_drive() if one.stamp < end], sweep)))
+    assert test.times is None
+    doubts = RecordingTiming(order_test=test).doubts()
+    assert len(doubts) == is_doubtful
+    assert all(f"set lidar.turn_period={1.0 / RATE:.3g}, and" in text for text in doubts)
+
+
 def drive_with_scans_of_one_moment() -> list[Message]:
     """Return a drive with a lidar that turns ten times as fast, of whose scans every tenth is kept, without times."""
     lidar = replace(LIDAR_MODELS["short"], rate=10 * RATE)
