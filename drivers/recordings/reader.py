@@ -34,7 +34,9 @@ class RecordingReader(SurveyedRecording):
 
     def __iter__(self) -> Iterator[Message]:
         """Yield the messages from the beginning, with non-decreasing stamps."""
-        frozen, speed = FrozenOdometryDetector(), OdometrySpeed()
+        from ..timing.alternating_sources import AlternatingSources
+
+        frozen, speed, sources = FrozenOdometryDetector(), OdometrySpeed(), AlternatingSources()
         times = self.beam_times
         reason, own, gyroscope, floor = self.reason_to_mirror, self.own_returns, self.gyroscope_scale, self.floor
         messages = self._corrected(self._first_or_new_messages())
@@ -58,9 +60,10 @@ class RecordingReader(SurveyedRecording):
             report.messages += 1
             frozen.add(message)
             speed.add(message)
+            sources.add(message)
             yield message
         frozen.finish()
-        for text in (frozen.describe(), speed.describe()):
+        for text in (frozen.describe(), speed.describe(), sources.describe()):
             if text is not None:
                 self.doubt(text)
 

@@ -124,11 +124,11 @@ class OwnReturnsDetector:
             self._heading = float(message.pose[2])
         elif isinstance(message, Scan) and message.lidar == 0:
             if math.isnan(self._heading):
-                self._compare_views(_farthest(message.ranges, _bins(message.angles)))
+                self._compare_views(farthest_returns(message))
                 return
             turned = abs(math.remainder(self._heading - self._compared, 2.0 * math.pi))
             if not turned < MIN_TURN:  # true for the first scan
-                self._compare(_farthest(message.ranges, _bins(message.angles)))
+                self._compare(farthest_returns(message))
 
     def _compare(self, farthest: Floats) -> None:
         """Count a scan if its view differs from that of the compared scan before.
@@ -171,6 +171,11 @@ class OwnReturnsDetector:
             return None
         limits = np.where(seen, CELL * (best + 1 + TOLERANCE), 0.0)
         return OwnReturns(limits, int(supports[seen, best[seen]].max()))
+
+
+def farthest_returns(scan: Scan) -> Floats:
+    """Return the farthest return (BINS,) of a scan in each direction, metres; 0 without any."""
+    return np.asarray(_farthest(scan.ranges, _bins(scan.angles)))
 
 
 def warm_up() -> None:
