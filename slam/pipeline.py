@@ -38,7 +38,7 @@ from .preprocessing.message_check import MessageCheck
 from .preprocessing.preprocessor import ProcessedScan
 from .preprocessing.scan_queue import ScanPair
 from .recognition.location import STATED
-from .reporting.lidar_delay import LidarDelayCheck
+from .reporting.delay_warning import DelayWarning
 from .reporting.localisation_report import LocalisationReport
 from .reporting.publisher import Publisher
 from .reporting.run_statistics import RunStatistics, run_summary
@@ -102,7 +102,7 @@ class Slam:
         self._publisher = Publisher(sinks)
         self._statistics = RunStatistics()
         self._report = ScanReport(self._publisher, self._statistics)
-        self._delay_check = LidarDelayCheck(self._publisher)
+        self._delay_warning = DelayWarning(self._publisher)
         self._check, self._has_odometry = MessageCheck(-math.inf if resumed is None else resumed.latest), False
         self._session: StoredSession | None = None
         self._preprocessor = start_preprocessor(self.config, resumed)
@@ -172,7 +172,7 @@ class Slam:
         velocity = self._estimator.state.tracker.predicted_velocity
         self._report.add(processed, result, self.slam_state, self._preprocessor.noise.sigma_range, timer, velocity)
         self._localisation.update(processed.stamp, result, self._estimator)
-        self._delay_check.update(self.slam_state, self._journal, processed.stamp)
+        self._delay_warning.update(self.slam_state, self._journal, processed.stamp)
 
     def _learn_motion(self, stamp: float, tracking: TrackingResult, before: se2.Pose | None) -> None:
         """Correct the source of the motions by that between the last two scans, if it learns.
@@ -379,7 +379,7 @@ class Slam:
             settle_plan(state, journal, self._publisher)
         end = journal.scans[-1].stamp
         self._report.end(state, end)
-        self._delay_check.update(state, journal, end, ended=True)
+        self._delay_warning.update(state, journal, end, ended=True)
         self._run_session.add_last_decisions(session, state.loops)
         refined = self._refine and self._extends_map
         return self._summary(end) | settle_trajectory(state, journal, self._publisher, refined=refined)

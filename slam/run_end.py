@@ -14,7 +14,7 @@ from .estimation.wall_bends import settle_wall_bends
 from .events import Finished, Notice
 from .localisation.tracking import PoseFix
 from .memory import return_freed_memory
-from .reporting.lidar_delay import find_scan_delay
+from .reporting.delay_warning import find_scan_delay
 from .reporting.publisher import Publisher
 from .reporting.results import publish_results
 from .reporting.run_statistics import RunStatistics

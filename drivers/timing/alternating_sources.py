@@ -24,16 +24,16 @@ from .student import ERROR_PROBABILITY
 class _Views:
     """Views of one lidar by its frame: farthest returns in each direction.
 
-    last     of the last scan
-    other    of the last scan that differed from it
-    changes  number of scans that differed from the last one, without the first
-    returns  number of these that were like the other view
+    last       of the last scan
+    previous   of the last scan that differed from it
+    changes    number of scans that differed from the last one, without the first
+    reversals  number of these that were like the previous view
     """
 
     last: Floats
-    other: Floats | None = None
+    previous: Floats | None = None
     changes: int = 0
-    returns: int = 0
+    reversals: int = 0
 
     def add(self, view: Floats) -> None:
         """Compare the next scan; one that shows too little to be compared does not count."""
@@ -42,15 +42,15 @@ class _Views:
         if same:
             self.last = view
             return
-        if self.other is not None:
+        if self.previous is not None:
             self.changes += 1
-            self.returns += bool(_are_alike(view, self.other))
-        self.last, self.other = view, self.last
+            self.reversals += bool(_are_alike(view, self.previous))
+        self.last, self.previous = view, self.last
 
     @property
     def shows_two(self) -> bool:
         """True if the scans are of two sources."""
-        excess = self.returns - 0.5 * self.changes
+        excess = self.reversals - 0.5 * self.changes
         return excess > 0.0 and 2.0 * excess**2 > self.changes * math.log(1.0 / ERROR_PROBABILITY)
 
 
@@ -75,9 +75,9 @@ class AlternatingSources:
         if found is None:
             return None
         return (
-            f"the scans are of two sources, as two robots or programs that publish on one topic: {found.returns} of "
-            f"{found.changes} scans that differ from the last one are like the one before; the map cannot be right, as "
-            "it has both"
+            f"the scans are of two sources, as two robots or programs that publish on one topic: {found.reversals} of "
+            f"{found.changes} scans that differ from the last one are like the view before that; the map is wrong, as "
+            "it shows what both see"
         )
 
 

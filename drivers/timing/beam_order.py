@@ -43,7 +43,7 @@ DIFFERENT = 0.2
 # Ratio of the stated duration of a turn and the time from scan to scan, or the inverse, from which on the stated times
 # are doubtful. Origin: chosen; a driver may send some times during a turn what has been measured since the same time of
 # the turn before, and a program may leave out some scans of a fast lidar.
-DOUBTFUL = 10.0
+DOUBTFUL_RATIO = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ class BeamOrderTest:
     def doubts(self) -> list[str]:
         """Return that the stated times do not fit the time from scan to scan, as lines of text, if they are used."""
         turn, period = self.stated_turn, self.scan_period
-        if self.times is not None or turn <= 0.0 or period / DOUBTFUL < turn < DOUBTFUL * period:
+        if self.times is not None or turn <= 0.0 or period / DOUBTFUL_RATIO < turn < DOUBTFUL_RATIO * period:
             return []
         return [
             f"the beams of a scan are measured within {self.stated_sweep:.3g} s by their stated times, but scans are "

@@ -39,10 +39,14 @@ PRIOR_SIGMA = USUAL_PERIOD
 
 @dataclass(frozen=True, slots=True)
 class ScanDelay:
-    """Seconds by which scans are stamped late, negative if odometry is, and the standard deviation."""
+    """Seconds by which scans are stamped late, negative if odometry is, and the standard deviation.
+
+    interval  seconds between two readings of odometry, in which the motion is only interpolated
+    """
 
     seconds: float
     sigma: float
+    interval: float = 0.0
 
     @property
     def significant(self) -> bool:
@@ -62,7 +66,8 @@ def estimate_scan_delay(stamps: Floats, poses: Floats, history: OdometryHistory,
     unknown = ScanDelay(0.0, PRIOR_SIGMA)
     if len(stamps) < 2 or len(history) < 2:
         return unknown
-    step = max(STEP, float(np.median(np.diff(history.stamps))))
+    interval = float(np.median(np.diff(history.stamps)))
+    step = max(STEP, interval)
     registered = se2.between(poses[:-1], poses[1:])
     seconds, curvature, score = 0.0, 0.0, np.zeros(0)
     for _ in range(ITERATIONS):
@@ -85,7 +90,7 @@ def estimate_scan_delay(stamps: Floats, poses: Floats, history: OdometryHistory,
         return unknown
     sigma = float(np.sqrt((score**2).sum())) / curvature
     share = PRIOR_SIGMA**2 / (PRIOR_SIGMA**2 + sigma**2)
-    return ScanDelay(share * seconds, float(np.sqrt(share)) * sigma)
+    return ScanDelay(share * seconds, float(np.sqrt(share)) * sigma, interval)
 
 
 def _motions(stamps: Floats, history: OdometryHistory, model: OdometryModel) -> Floats:
